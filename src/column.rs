@@ -1,0 +1,126 @@
+//! One property of many particles, held once when they all share it.
+
+/// A property of many particles.
+///
+/// ```
+/// use pointmass::Column;
+/// let damping = Column::Uniform(0.99);
+/// assert_eq!(damping.get(7), 0.99);
+/// let masses = Column::PerParticle(vec![1.0, 2.0]);
+/// assert_eq!(masses.get(1), 2.0);
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub enum Column<T> {
+    /// Every particle has this value.
+    Uniform(T),
+    /// `values[i]` belongs to particle `i`.
+    PerParticle(Vec<T>),
+}
+
+impl<T: Copy + PartialEq> Column<T> {
+    /// The value of particle `index`.
+    ///
+    /// # Panics
+    /// When the column is per-particle and shorter than `index + 1`.
+    #[must_use]
+    pub fn get(&self, index: usize) -> T {
+        match self {
+            Self::Uniform(value) => *value,
+            Self::PerParticle(values) => values[index],
+        }
+    }
+
+    /// The number of particles it speaks of, when it has one value for each.
+    #[must_use]
+    pub fn len_if_per_particle(&self) -> Option<usize> {
+        match self {
+            Self::Uniform(_) => None,
+            Self::PerParticle(values) => Some(values.len()),
+        }
+    }
+
+    /// The values it stores, each with the index of its particle, or with none when it stands for all.
+    pub(crate) fn entries(&self) -> impl Iterator<Item = (Option<usize>, T)> {
+        let (uniform, values) = match self {
+            Self::Uniform(value) => (Some((None, *value)), [].as_slice()),
+            Self::PerParticle(values) => (None, values.as_slice()),
+        };
+        uniform.into_iter().chain(values.iter().enumerate().map(|(i, value)| (Some(i), *value)))
+    }
+
+    /// The same shape with other values.
+    pub(crate) fn map<U>(&self, f: impl Fn(T) -> U) -> Column<U> {
+        match self {
+            Self::Uniform(value) => Column::Uniform(f(*value)),
+            Self::PerParticle(values) => Column::PerParticle(values.iter().map(|value| f(*value)).collect()),
+        }
+    }
+
+    /// Sets one of `len` values; promotes a uniform column when the value differs.
+    pub(crate) fn set(&mut self, index: usize, value: T, len: usize) {
+        match self {
+            Self::Uniform(uniform) if *uniform == value => {}
+            Self::Uniform(uniform) => {
+                let mut values = vec![*uniform; len];
+                values[index] = value;
+                *self = Self::PerParticle(values);
+            }
+            Self::PerParticle(values) => values[index] = value,
+        }
+    }
+
+    /// Appends the first `count` values of `other` to a column of `len` values.
+    pub(crate) fn extend(&mut self, len: usize, other: &Self, count: usize) {
+        if count == 0 {
+            return;
+        }
+        if let (Self::Uniform(value), Self::Uniform(new)) = (&mut *self, other)
+            && (len == 0 || value == new)
+        {
+            *value = *new;
+            return;
+        }
+        if let Self::Uniform(value) = self {
+            *self = Self::PerParticle(vec![*value; len]);
+        }
+        let Self::PerParticle(values) = self else { unreachable!("promoted above") };
+        match other {
+            Self::Uniform(new) => values.resize(len + count, *new),
+            Self::PerParticle(new) => values.extend_from_slice(&new[..count]),
+        }
+    }
+
+    /// Removes one value; the last one takes its place.
+    pub(crate) fn swap_remove(&mut self, index: usize) {
+        if let Self::PerParticle(values) = self {
+            values.swap_remove(index);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Column;
+
+    #[test]
+    fn stays_uniform_while_the_values_are_equal() {
+        let mut column = Column::Uniform(1.0);
+        column.extend(0, &Column::Uniform(2.0), 3);
+        column.set(1, 2.0, 3);
+        column.extend(3, &Column::Uniform(2.0), 2);
+        assert_eq!(column, Column::Uniform(2.0));
+    }
+
+    #[test]
+    fn is_promoted_by_a_value_that_differs() {
+        let mut column = Column::Uniform(2.0);
+        column.set(1, 5.0, 3);
+        assert_eq!(column, Column::PerParticle(vec![2.0, 5.0, 2.0]));
+        column.extend(3, &Column::Uniform(7.0), 1);
+        column.swap_remove(0);
+        assert_eq!(column, Column::PerParticle(vec![7.0, 5.0, 2.0]));
+        let mut column = Column::Uniform(2.0);
+        column.extend(1, &Column::PerParticle(vec![3.0, 4.0]), 2);
+        assert_eq!(column, Column::PerParticle(vec![2.0, 3.0, 4.0]));
+    }
+}

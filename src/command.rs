@@ -1,0 +1,337 @@
+//! What can be asked of a world: every change is one [`Command`].
+
+use crate::column::Column;
+use crate::ids::ParticleId;
+use crate::integrator::{DampingLaw, Integrator};
+use crate::real::Real;
+
+/// One change to a world, applied by [`World::apply`](crate::World::apply) as a whole or not at all.
+///
+/// Every kind speaks of many particles; the methods of [`World`](crate::World) are the same commands for one.
+/// A [`Column`] gives one value for all of them or one for each, in the order of the ids.
+///
+/// ```
+/// use pointmass::{Column, Command, DVec3, NewParticles, ParticleId, Selection, World};
+/// let mut world = World::<f64>::default();
+/// world.apply(&Command::Create(NewParticles { count: 3, ..Default::default() }))?;
+/// world.apply(&Command::AddForce {
+///     ids: Selection::Ids(vec![ParticleId(0), ParticleId(2)]),
+///     force: Column::Uniform(DVec3::X),
+/// })?;
+/// assert_eq!(world.particle(ParticleId(2))?.force, DVec3::X);
+/// # Ok::<(), pointmass::Error>(())
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub enum Command<R: Real> {
+    /// Adds particles; their ids count up.
+    Create(NewParticles<R>),
+    /// Teleports: sets position (m), velocity (m/s) or both.
+    Place {
+        /// Which particles.
+        ids: Selection,
+        /// Where to, in metres; absent: the position of now.
+        position: Option<Column<R::Vec3>>,
+        /// The velocity from now on, in m/s; absent: the velocity of now.
+        velocity: Option<Column<R::Vec3>>,
+    },
+    /// Sets properties; an absent one stays.
+    Set {
+        /// Which particles.
+        ids: Selection,
+        /// Own acceleration in m/s²; `None`: the gravity of the world.
+        acceleration: Option<Column<Option<R::Vec3>>>,
+        /// Damping, 0 to 1.
+        damping: Option<Column<R>>,
+        /// Mass or inverse mass.
+        mass: Option<Column<Mass<R>>>,
+    },
+    /// Adds to the force accumulators, in newtons. The sum acts through the next advance and is then cleared.
+    AddForce {
+        /// Which particles; one named twice gets both.
+        ids: Selection,
+        /// The force in newtons.
+        force: Column<R::Vec3>,
+    },
+    /// Changes velocities at once: v += J w, with the impulse J in newton seconds and the inverse mass w.
+    Impulse {
+        /// Which particles; one named twice gets both.
+        ids: Selection,
+        /// The impulse in newton seconds.
+        impulse: Column<R::Vec3>,
+    },
+    /// Removes particles; their ids are never used again.
+    Remove {
+        /// Which particles.
+        ids: Selection,
+    },
+    /// Moves the world forward in time.
+    Advance(Advance),
+    /// Changes settings of the world.
+    Configure(Configure<R>),
+}
+
+/// The particles a command speaks of.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Selection {
+    /// Every particle, in ascending order of id.
+    All,
+    /// These, in this order.
+    Ids(Vec<ParticleId>),
+}
+
+impl From<ParticleId> for Selection {
+    fn from(id: ParticleId) -> Self {
+        Self::Ids(vec![id])
+    }
+}
+
+/// A particle to create.
+///
+/// ```
+/// use pointmass::{DVec3, Mass, Particle};
+/// let anvil = Particle { position: DVec3::new(0.0, 10.0, 0.0), mass: Mass::Mass(50.0), ..Particle::default() };
+/// assert_eq!(anvil.damping, 1.0);
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Particle<R: Real = f64> {
+    /// Metres. Default 0.
+    pub position: R::Vec3,
+    /// Metres per second. Default 0.
+    pub velocity: R::Vec3,
+    /// Own acceleration in m/s². Default `None`: the gravity of the world, and zero for an immovable particle.
+    pub acceleration: Option<R::Vec3>,
+    /// The share of the velocity kept each second, 0 to 1. Default 1: all of it.
+    pub damping: R,
+    /// Default: 1 kg.
+    pub mass: Mass<R>,
+}
+
+impl<R: Real> Default for Particle<R> {
+    fn default() -> Self {
+        Self {
+            position: R::Vec3::default(),
+            velocity: R::Vec3::default(),
+            acceleration: None,
+            damping: R::ONE,
+            mass: Mass::Inverse(R::ONE),
+        }
+    }
+}
+
+/// A mass, said in one of two ways. The engine keeps 1/m.
+///
+/// ```
+/// use pointmass::{Mass, Particle};
+/// let platform = Particle { mass: Mass::IMMOVABLE, ..Particle::<f64>::default() };
+/// assert_eq!(platform.mass, Mass::Inverse(0.0));
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Mass<R> {
+    /// m in kilograms: finite, above 0, with a finite inverse.
+    Mass(R),
+    /// 1/m in 1/kg: finite, at least 0; 0 is an immovable particle (Millington, chapter 3, "Mass").
+    Inverse(R),
+}
+
+impl<R: Real> Mass<R> {
+    /// Infinite mass: no force and no gravity moves such a particle.
+    pub const IMMOVABLE: Self = Self::Inverse(R::ZERO);
+}
+
+/// Particles to create, as columns.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NewParticles<R: Real = f64> {
+    /// How many; per-particle columns have this length.
+    pub count: usize,
+    /// See [`Particle`], which has the same defaults.
+    pub position: Column<R::Vec3>,
+    /// See [`Particle`].
+    pub velocity: Column<R::Vec3>,
+    /// See [`Particle`].
+    pub acceleration: Column<Option<R::Vec3>>,
+    /// See [`Particle`].
+    pub damping: Column<R>,
+    /// See [`Particle`].
+    pub mass: Column<Mass<R>>,
+}
+
+impl<R: Real> Default for NewParticles<R> {
+    fn default() -> Self {
+        Self { count: 0, ..Particle::default().into() }
+    }
+}
+
+impl<R: Real> From<Particle<R>> for NewParticles<R> {
+    fn from(particle: Particle<R>) -> Self {
+        Self {
+            count: 1,
+            position: Column::Uniform(particle.position),
+            velocity: Column::Uniform(particle.velocity),
+            acceleration: Column::Uniform(particle.acceleration),
+            damping: Column::Uniform(particle.damping),
+            mass: Column::Uniform(particle.mass),
+        }
+    }
+}
+
+impl<R: Real> FromIterator<Particle<R>> for NewParticles<R> {
+    fn from_iter<I: IntoIterator<Item = Particle<R>>>(particles: I) -> Self {
+        let particles: Vec<Particle<R>> = particles.into_iter().collect();
+        Self {
+            count: particles.len(),
+            position: Column::PerParticle(particles.iter().map(|p| p.position).collect()),
+            velocity: Column::PerParticle(particles.iter().map(|p| p.velocity).collect()),
+            acceleration: Column::PerParticle(particles.iter().map(|p| p.acceleration).collect()),
+            damping: Column::PerParticle(particles.iter().map(|p| p.damping).collect()),
+            mass: Column::PerParticle(particles.iter().map(|p| p.mass).collect()),
+        }
+    }
+}
+
+/// How far to advance, and in which steps.
+///
+/// ```
+/// use pointmass::{Advance, World};
+/// let mut world = World::<f64>::default();
+/// let report = world.advance(Advance { max_step: Some(0.01), ..Advance::by(0.1) })?;
+/// assert_eq!(report.time, 0.1);
+/// # Ok::<(), pointmass::Error>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Advance {
+    /// Seconds, finite and above 0.
+    pub duration: f64,
+    /// The number of steps, at least 1. Not together with `max_step`.
+    pub steps: Option<u64>,
+    /// The longest step in seconds, finite and above 0. Absent, and no `steps`: that of the world; without one, the
+    /// whole duration is one step.
+    pub max_step: Option<f64>,
+}
+
+impl Advance {
+    /// By this many seconds, in the steps that the world prescribes.
+    #[must_use]
+    pub const fn by(duration: f64) -> Self {
+        Self { duration, steps: None, max_step: None }
+    }
+}
+
+impl From<f64> for Advance {
+    fn from(duration: f64) -> Self {
+        Self::by(duration)
+    }
+}
+
+/// The settings of a world.
+///
+/// ```
+/// use pointmass::{DVec3, Integrator, Settings, World};
+/// let settings = Settings { gravity: DVec3::NEG_Y * 9.80665, integrator: Integrator::NewtonEuler, ..Settings::default() };
+/// let world = World::new(settings)?;
+/// # Ok::<(), pointmass::Error>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings<R: Real = f64> {
+    /// Default [`Integrator::Exact`].
+    pub integrator: Integrator,
+    /// The acceleration, in m/s², of every movable particle that has none of its own. Default 0.
+    pub gravity: R::Vec3,
+    /// Default [`DampingLaw::PerSecond`].
+    pub damping_law: DampingLaw,
+    /// The longest step in seconds of an advance that names neither `steps` nor `max_step`; finite, above 0.
+    /// Default `None`: such an advance is one step.
+    pub max_step: Option<f64>,
+}
+
+impl<R: Real> Default for Settings<R> {
+    fn default() -> Self {
+        Self {
+            integrator: Integrator::default(),
+            gravity: R::Vec3::default(),
+            damping_law: DampingLaw::default(),
+            max_step: None,
+        }
+    }
+}
+
+/// New values for some settings; an absent one stays. Under `exact` naming gravity or the integrator rebases, even
+/// with an equal value.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Configure<R: Real = f64> {
+    /// See [`Settings`].
+    pub integrator: Option<Integrator>,
+    /// See [`Settings`].
+    pub gravity: Option<R::Vec3>,
+    /// See [`Settings`].
+    pub damping_law: Option<DampingLaw>,
+    /// See [`Settings`]; `Some(None)` takes the longest step away.
+    pub max_step: Option<Option<f64>>,
+}
+
+impl<R: Real> Default for Configure<R> {
+    fn default() -> Self {
+        Self { integrator: None, gravity: None, damping_law: None, max_step: None }
+    }
+}
+
+/// Gravities by name, all along -y: presets of the book (chapter 3, "Gravity") and the standard one.
+pub mod gravity {
+    use crate::real::Real;
+
+    /// Names and magnitudes in m/s².
+    pub const PRESETS: [(&str, f64); 4] =
+        [("standard", 9.80665), ("textbook", 10.0), ("shooter", 15.0), ("driving", 20.0)];
+
+    /// The gravity of that name.
+    ///
+    /// ```
+    /// assert_eq!(pointmass::gravity::preset::<f64>("textbook"), Some(pointmass::DVec3::new(0.0, -10.0, 0.0)));
+    /// ```
+    #[must_use]
+    pub fn preset<R: Real>(name: &str) -> Option<R::Vec3> {
+        let (_, magnitude) = PRESETS.into_iter().find(|(preset, _)| *preset == name)?;
+        Some([R::ZERO, R::nearest(-magnitude), R::ZERO].into())
+    }
+}
+
+/// What a command did.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Outcome {
+    /// `count` particles with ids from `first` up.
+    Created {
+        /// The id of the first one (the next one, when the count is 0).
+        first: ParticleId,
+        /// How many.
+        count: usize,
+    },
+    /// The command spoke of this many particles.
+    Changed {
+        /// How many.
+        count: usize,
+    },
+    /// What an advance did.
+    Advanced(Advanced),
+    /// The settings are changed.
+    Configured,
+}
+
+/// What an advance did.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Advanced {
+    /// The clock of the world afterwards, in seconds.
+    pub time: f64,
+    /// The duration in seconds, as asked.
+    pub duration: f64,
+    /// The number of steps.
+    pub steps: u64,
+    /// The length of one step in seconds.
+    pub step: f64,
+    /// All steps of this world so far.
+    pub step_count: u64,
+    /// Particles moved now.
+    pub integrated: usize,
+    /// Particles whose motion is evaluated when they are read.
+    pub deferred: usize,
+    /// Particles that nothing can move: immovable, without velocity or acceleration.
+    pub skipped: usize,
+}

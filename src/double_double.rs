@@ -1,0 +1,129 @@
+//! Numbers of about 106 bits as an unevaluated sum of two doubles.
+//!
+//! Source: T. J. Dekker, "A floating-point technique for extending the available precision", Numerische Mathematik 18
+//! (1971). Products are split, not fused: a fused multiply-add is slow where the CPU has none, and the bits are the same.
+
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+/// `hi + lo` with `hi` the double nearest to the sum.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct DoubleDouble {
+    pub(crate) hi: f64,
+    pub(crate) lo: f64,
+}
+
+impl DoubleDouble {
+    pub(crate) const ONE: Self = Self { hi: 1.0, lo: 0.0 };
+
+    pub(crate) const fn new(hi: f64, lo: f64) -> Self {
+        Self { hi, lo }
+    }
+
+    /// `a + b` without error.
+    pub(crate) fn sum(a: f64, b: f64) -> Self {
+        let hi = a + b;
+        let b_rounded = hi - a;
+        let lo = (a - (hi - b_rounded)) + (b - b_rounded);
+        Self { hi, lo }
+    }
+
+    /// `a + b` without error, for `|a| >= |b|` or `a == 0`.
+    fn ordered_sum(a: f64, b: f64) -> Self {
+        let hi = a + b;
+        Self { hi, lo: b - (hi - a) }
+    }
+
+    /// `a * b` without error, for factors below 2⁹⁹⁶ and a product that is not subnormal.
+    pub(crate) fn product(a: f64, b: f64) -> Self {
+        let hi = a * b;
+        let (a_hi, a_lo) = split(a);
+        let (b_hi, b_lo) = split(b);
+        let lo = ((a_hi * b_hi - hi) + a_hi * b_lo + a_lo * b_hi) + a_lo * b_lo;
+        Self { hi, lo }
+    }
+
+    /// Both words times a power of two.
+    pub(crate) fn scaled(self, power: f64) -> Self {
+        Self { hi: self.hi * power, lo: self.lo * power }
+    }
+}
+
+/// The upper 26 and the lower 26 bits of `a` (Veltkamp).
+fn split(a: f64) -> (f64, f64) {
+    const SPLITTER: f64 = 134_217_729.0;
+    let scaled = SPLITTER * a;
+    let hi = scaled - (scaled - a);
+    (hi, a - hi)
+}
+
+impl From<f64> for DoubleDouble {
+    fn from(hi: f64) -> Self {
+        Self { hi, lo: 0.0 }
+    }
+}
+
+impl Neg for DoubleDouble {
+    type Output = Self;
+    fn neg(self) -> Self {
+        Self { hi: -self.hi, lo: -self.lo }
+    }
+}
+
+impl Add for DoubleDouble {
+    type Output = Self;
+    fn add(self, other: Self) -> Self {
+        let high = Self::sum(self.hi, other.hi);
+        let low = Self::sum(self.lo, other.lo);
+        let sum = Self::ordered_sum(high.hi, high.lo + low.hi);
+        Self::ordered_sum(sum.hi, sum.lo + low.lo)
+    }
+}
+
+impl Sub for DoubleDouble {
+    type Output = Self;
+    fn sub(self, other: Self) -> Self {
+        self + -other
+    }
+}
+
+impl Mul for DoubleDouble {
+    type Output = Self;
+    fn mul(self, other: Self) -> Self {
+        let product = Self::product(self.hi, other.hi);
+        Self::ordered_sum(product.hi, product.lo + (self.hi * other.lo + self.lo * other.hi))
+    }
+}
+
+impl Div for DoubleDouble {
+    type Output = Self;
+    fn div(self, other: Self) -> Self {
+        let first = self.hi / other.hi;
+        let remainder = self - other * Self::from(first);
+        let second = remainder.hi / other.hi;
+        let remainder = remainder - other * Self::from(second);
+        let quotient = Self::ordered_sum(first, second);
+        quotient + Self::from(remainder.hi / other.hi)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::DoubleDouble;
+
+    #[test]
+    fn sums_and_products_lose_nothing() {
+        let sum = DoubleDouble::sum(1.0, 2f64.powi(-80));
+        assert_eq!((sum.hi, sum.lo), (1.0, 2f64.powi(-80)));
+        let a = 1.0 + 2f64.powi(-30);
+        let square = DoubleDouble::product(a, a);
+        assert_eq!((square.hi, square.lo), (1.0 + 2f64.powi(-29), 2f64.powi(-60)));
+    }
+
+    #[test]
+    fn division_undoes_multiplication_to_a_hundred_bits() {
+        let a = DoubleDouble::new(std::f64::consts::PI, 1.224_646_799_147_353_2e-16);
+        let b = DoubleDouble::new(std::f64::consts::E, 1.445_646_891_729_250_2e-16);
+        let error = (a * b) / b - a;
+        assert!(error.hi.abs() < 2f64.powi(-99), "{error:?}");
+    }
+}

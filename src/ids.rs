@@ -1,0 +1,190 @@
+//! Which row of the columns each particle lives in.
+
+use std::collections::BTreeMap;
+
+/// The name of a particle in its world: 0, 1, 2, … in the order of creation, never used again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ParticleId(pub u64);
+
+impl std::fmt::Display for ParticleId {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// Ids to rows and back. Removal moves the last row into the gap, so that columns stay dense.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Ids {
+    next: u64,
+    /// `None` until the first removal: particle `i` is row `i`, and nothing is stored.
+    table: Option<Table>,
+}
+
+#[derive(Debug, Clone)]
+struct Table {
+    id_of: Vec<u64>,
+    /// Rows by `id / PAGE`: four bytes for an id, and ids in order, where a map of ids would take forty.
+    pages: BTreeMap<u64, Page>,
+}
+
+#[derive(Debug, Clone)]
+struct Page {
+    count: u32,
+    rows: Box<[u32; PAGE as usize]>,
+}
+
+const PAGE: u64 = 256;
+const NO_ROW: u32 = u32::MAX;
+
+impl Ids {
+    /// The most rows that a world can have.
+    pub(crate) const LEN_MAX: u64 = NO_ROW as u64;
+
+    pub(crate) fn len(&self) -> usize {
+        match &self.table {
+            None => usize::try_from(self.next).expect("every id is a row that is held in memory"),
+            Some(table) => table.id_of.len(),
+        }
+    }
+
+    pub(crate) fn next(&self) -> u64 {
+        self.next
+    }
+
+    pub(crate) fn row(&self, id: ParticleId) -> Option<usize> {
+        match &self.table {
+            None => (id.0 < self.next).then(|| usize::try_from(id.0).expect("every id is a row")),
+            Some(table) => table.row(id.0),
+        }
+    }
+
+    pub(crate) fn id(&self, row: usize) -> ParticleId {
+        ParticleId(self.table.as_ref().map_or(row as u64, |table| table.id_of[row]))
+    }
+
+    /// Ids and rows in ascending order of id, from the first id that is at least `from`.
+    pub(crate) fn from(&self, from: u64) -> impl Iterator<Item = (ParticleId, usize)> {
+        let identity = if self.table.is_none() { from..self.next } else { 0..0 };
+        let pages = self.table.iter().flat_map(move |table| table.pages.range(from / PAGE..));
+        identity
+            .map(|id| (id, u32::try_from(id).expect("rows are counted in 32 bits")))
+            .chain(
+                pages
+                    .flat_map(|(page, rows)| (page * PAGE..).zip(rows.rows.iter().copied()))
+                    .filter(move |&(id, row)| row != NO_ROW && id >= from),
+            )
+            .map(|(id, row)| (ParticleId(id), row as usize))
+    }
+
+    /// Names `count` new rows at the end; the first of their ids.
+    pub(crate) fn create(&mut self, count: usize) -> ParticleId {
+        let first = self.next;
+        if let Some(table) = &mut self.table {
+            for id in first..first + count as u64 {
+                table.push(id);
+            }
+        }
+        self.next += count as u64;
+        ParticleId(first)
+    }
+
+    /// Forgets an id; its row, which the last row takes over.
+    pub(crate) fn remove(&mut self, id: ParticleId) -> Option<usize> {
+        let row = self.row(id)?;
+        let len = self.len();
+        let table = self.table.get_or_insert_with(|| {
+            let mut table = Table { id_of: Vec::with_capacity(len), pages: BTreeMap::new() };
+            (0..len as u64).for_each(|id| table.push(id));
+            table
+        });
+        table.id_of.swap_remove(row);
+        if let Some(&moved) = table.id_of.get(row) {
+            table.set_row(moved, u32::try_from(row).expect("rows are counted in 32 bits"));
+        }
+        table.forget(id.0);
+        Some(row)
+    }
+}
+
+impl Table {
+    fn slot(id: u64) -> usize {
+        usize::try_from(id % PAGE).expect("less than a page")
+    }
+
+    fn row(&self, id: u64) -> Option<usize> {
+        let row = self.pages.get(&(id / PAGE))?.rows[Self::slot(id)];
+        (row != NO_ROW).then_some(row as usize)
+    }
+
+    fn push(&mut self, id: u64) {
+        let row = u32::try_from(self.id_of.len()).expect("the world checked the number of rows");
+        self.id_of.push(id);
+        self.set_row(id, row);
+    }
+
+    fn set_row(&mut self, id: u64, row: u32) {
+        let page =
+            self.pages.entry(id / PAGE).or_insert_with(|| Page { count: 0, rows: Box::new([NO_ROW; PAGE as usize]) });
+        let slot = &mut page.rows[Self::slot(id)];
+        page.count += u32::from(*slot == NO_ROW);
+        *slot = row;
+    }
+
+    fn forget(&mut self, id: u64) {
+        let page = self.pages.get_mut(&(id / PAGE)).expect("the id was found");
+        page.rows[Self::slot(id)] = NO_ROW;
+        page.count -= 1;
+        if page.count == 0 {
+            self.pages.remove(&(id / PAGE));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Ids, PAGE, ParticleId};
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Against the plainest model: a list of ids in the order of their rows.
+        #[test]
+        fn agrees_with_a_list(commands in prop::collection::vec((any::<bool>(), 0usize..2000), 1..60)) {
+            let (mut ids, mut model, mut next) = (Ids::default(), Vec::new(), 0u64);
+            for (create, n) in commands {
+                if create {
+                    prop_assert_eq!(ids.create(n), ParticleId(next));
+                    model.extend(next..next + n as u64);
+                    next += n as u64;
+                } else if !model.is_empty() {
+                    let row = n % model.len();
+                    let id = model.swap_remove(row);
+                    prop_assert_eq!(ids.remove(ParticleId(id)), Some(row));
+                    prop_assert_eq!(ids.remove(ParticleId(id)), None);
+                }
+            }
+            prop_assert_eq!(ids.len(), model.len());
+            prop_assert_eq!(ids.next(), next);
+            for (row, &id) in model.iter().enumerate() {
+                prop_assert_eq!(ids.id(row), ParticleId(id));
+                prop_assert_eq!(ids.row(ParticleId(id)), Some(row));
+            }
+            prop_assert_eq!(ids.row(ParticleId(next)), None);
+            for from in [0, 1, PAGE, next / 2, next] {
+                let mut expected: Vec<u64> = model.iter().copied().filter(|&id| id >= from).collect();
+                expected.sort_unstable();
+                let listed: Vec<u64> = ids.from(from).map(|(id, _)| id.0).collect();
+                prop_assert_eq!(listed, expected);
+            }
+        }
+    }
+
+    #[test]
+    fn pages_without_particles_are_given_back() {
+        let mut ids = Ids::default();
+        for _ in 0..100 {
+            let first = ids.create(1000).0;
+            (first..first + 1000).for_each(|id| assert!(ids.remove(ParticleId(id)).is_some()));
+        }
+        assert_eq!(ids.table.expect("something was removed").pages.len(), 0);
+    }
+}

@@ -1,0 +1,50 @@
+//! Worlds of point-mass particles, stepped to the bit.
+//!
+//! A particle is a point with a position, a velocity, an acceleration (its own, or the gravity of the world), a damping
+//! and an inverse mass. Add forces, advance the world by a duration, read where everything is:
+//!
+//! ```
+//! use pointmass::{DVec3, Particle, Settings, World};
+//!
+//! let mut world = World::new(Settings { gravity: DVec3::new(0.0, -9.80665, 0.0), ..Settings::default() })?;
+//! let ball = world.create(Particle { position: DVec3::new(0.0, 100.0, 0.0), damping: 0.9, ..Particle::default() })?;
+//! world.set_mass(ball, 0.5)?;
+//! world.add_force(ball, DVec3::new(2.0, 0.0, 0.0))?;
+//! world.advance(1.0 / 60.0)?;
+//! assert!(world.particle(ball)?.position.y < 100.0);
+//! # Ok::<(), pointmass::Error>(())
+//! ```
+//!
+//! The same commands in the same order give the same bits: on every CPU, and through the HTTP service of this crate
+//! (feature `server`, on by default), whose worlds are these worlds. Units are SI by convention (metres, seconds,
+//! kilograms, newtons), y points up, and nothing depends on either. The method is the particle engine of Ian
+//! Millington, *Game Physics Engine Development*, chapter 3.
+//!
+//! # Code map
+//!
+//! [`World`] applies [`Command`]s; the methods of `World` are commands for one particle. `kernel` has the stepped
+//! integrators and `closed_form` the exact one. Columns, ids and the double-double clock have a file each. Everything
+//! under `server` speaks HTTP; nothing else does. ARCHITECTURE.md says why.
+
+mod closed_form;
+mod column;
+mod command;
+mod double_double;
+mod error;
+mod ids;
+mod integrator;
+mod kernel;
+mod particles;
+mod real;
+mod world;
+
+pub use column::Column;
+pub use command::{
+    Advance, Advanced, Command, Configure, Mass, NewParticles, Outcome, Particle, Selection, Settings, gravity,
+};
+pub use error::{Error, Field, Limit, Limits, Place, Quantity};
+pub use glam::{DVec3, Vec3};
+pub use ids::ParticleId;
+pub use integrator::{DampingLaw, Integrator};
+pub use real::{Precision, Real};
+pub use world::{ParticleState, StepPlan, World};
