@@ -227,7 +227,7 @@ impl From<f64> for Advance {
 /// ```
 /// use pointmass::{DVec3, Integrator, Settings, World};
 /// let settings = Settings { gravity: DVec3::NEG_Y * 9.80665, integrator: Integrator::NewtonEuler, ..Settings::default() };
-/// let world = World::new(settings)?;
+/// let world = World::<f64>::new(settings)?;
 /// # Ok::<(), pointmass::Error>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -6,7 +6,7 @@
 //! ```
 //! use pointmass::{DVec3, Particle, Settings, World};
 //!
-//! let mut world = World::new(Settings { gravity: DVec3::new(0.0, -9.80665, 0.0), ..Settings::default() })?;
+//! let mut world = World::<f64>::new(Settings { gravity: DVec3::new(0.0, -9.80665, 0.0), ..Settings::default() })?;
 //! let ball = world.create(Particle { position: DVec3::new(0.0, 100.0, 0.0), damping: 0.9, ..Particle::default() })?;
 //! world.set_mass(ball, 0.5)?;
 //! world.add_force(ball, DVec3::new(2.0, 0.0, 0.0))?;
@@ -36,6 +36,10 @@ mod integrator;
 mod kernel;
 mod particles;
 mod real;
+#[cfg(feature = "server")]
+mod registry;
+#[cfg(feature = "server")]
+pub mod server;
 mod world;
 
 pub use column::Column;

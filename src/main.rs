@@ -1,1 +1,94 @@
-fn main() {}
+//! The `pointmass` binary: reads its configuration, listens, ends on SIGTERM or SIGINT. Decides nothing.
+
+use std::io::{IsTerminal, Write};
+use std::process::ExitCode;
+
+use clap::Parser;
+use pointmass::server::{App, Cli, Command, Config, Listener, LogFormat, healthcheck, serve};
+use tokio::signal::unix::{SignalKind, signal};
+use tracing_subscriber::EnvFilter;
+
+fn main() -> ExitCode {
+    let result = match Cli::parse().command() {
+        Command::Serve(config) => run(config),
+        Command::Healthcheck { url } => healthcheck(&url),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(message) => {
+            let _closed = writeln!(std::io::stderr(), "pointmass: {message}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(config: Config) -> Result<(), String> {
+    log_to_standard_error(&config)?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(config.workers)
+        .max_blocking_threads(config.threads)
+        .enable_all()
+        .build()
+        .map_err(|error| format!("cannot start threads: {error}"))?;
+    let result = runtime.block_on(listen(config));
+    // Whatever still runs has outlasted the drain timeout.
+    runtime.shutdown_background();
+    result
+}
+
+async fn listen(config: Config) -> Result<(), String> {
+    let app = App::new(config.clone()).map_err(|error| error.to_string())?;
+    let mut signals = Signals::new().map_err(|error| format!("cannot wait for signals: {error}"))?;
+    let mut listeners = Vec::new();
+    for address in &config.listen {
+        listeners.push(Listener::bind(address, &config).await.map_err(|error| error.to_string())?);
+    }
+    for listener in &listeners {
+        let url = listener.url().map_err(|error| format!("cannot tell where it listens: {error}"))?;
+        let mut out = std::io::stdout();
+        // Nobody may be reading; that is no reason to stop.
+        let _closed = writeln!(out, "pointmass listening on {url}").and_then(|()| out.flush());
+    }
+    let (finish, finished) = tokio::sync::oneshot::channel();
+    tokio::spawn(async move {
+        signals.next().await;
+        let _gone = finish.send(());
+        signals.next().await;
+        tracing::warn!("second signal: stopping at once");
+        std::process::exit(1);
+    });
+    serve(listeners, app, async move {
+        let _sent = finished.await;
+    })
+    .await;
+    tracing::info!("stopped");
+    Ok(())
+}
+
+struct Signals {
+    terminate: tokio::signal::unix::Signal,
+    interrupt: tokio::signal::unix::Signal,
+}
+
+impl Signals {
+    fn new() -> std::io::Result<Self> {
+        Ok(Self { terminate: signal(SignalKind::terminate())?, interrupt: signal(SignalKind::interrupt())? })
+    }
+
+    async fn next(&mut self) {
+        tokio::select! {
+            _ = self.terminate.recv() => {}
+            _ = self.interrupt.recv() => {}
+        }
+    }
+}
+
+fn log_to_standard_error(config: &Config) -> Result<(), String> {
+    let filter = EnvFilter::try_new(&config.log).map_err(|error| format!("--log {:?}: {error}", config.log))?;
+    let logs = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    match config.log_format {
+        LogFormat::Text => logs.with_ansi(std::io::stderr().is_terminal()).init(),
+        LogFormat::Json => logs.json().init(),
+    }
+    Ok(())
+}

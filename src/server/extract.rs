@@ -1,0 +1,299 @@
+//! What every handler takes from a request, in the order in which a request can be refused.
+
+use std::sync::Arc;
+
+use std::future::Future;
+
+use axum::body::{Body, Bytes};
+use axum::extract::{FromRequest, FromRequestParts, Query, RawPathParams, Request};
+use axum::http::request::Parts;
+use axum::http::{HeaderMap, Uri, header};
+use http_body_util::{BodyExt, Limited};
+use mediatype::{MediaType, MediaTypeList, ReadParams, names};
+use serde::de::DeserializeOwned;
+
+use crate::ids::ParticleId;
+use crate::server::App;
+use crate::server::config::BODY_BYTES_MAX;
+use crate::server::problem::{Code, Problem};
+
+/// The names in the path.
+#[derive(Debug, Default)]
+pub(crate) struct Target {
+    pub(crate) world: String,
+    /// `Some(None)`: something that cannot be an id.
+    particle: Option<Option<ParticleId>>,
+}
+
+impl Target {
+    pub(crate) fn names_particle(&self) -> bool {
+        self.particle.is_some()
+    }
+
+    /// The particle in the path.
+    pub(crate) fn particle(&self) -> Result<ParticleId, Problem> {
+        self.particle
+            .flatten()
+            .ok_or_else(|| Problem::new(Code::UnknownParticle, "the path names no particle of this world"))
+    }
+}
+
+/// A request that reads.
+#[derive(Debug)]
+pub(crate) struct Read {
+    pub(crate) target: Target,
+    pub(crate) preconditions: Preconditions,
+    uri: Uri,
+}
+
+/// A request that changes something.
+#[derive(Debug)]
+pub(crate) struct Change {
+    pub(crate) target: Target,
+    pub(crate) preconditions: Preconditions,
+    pub(crate) body: Bytes,
+    uri: Uri,
+}
+
+impl Read {
+    pub(crate) fn query<Q: DeserializeOwned>(&self) -> Result<Q, Problem> {
+        query(&self.uri)
+    }
+}
+
+impl Change {
+    pub(crate) fn query<Q: DeserializeOwned>(&self) -> Result<Q, Problem> {
+        query(&self.uri)
+    }
+}
+
+fn query<Q: DeserializeOwned>(uri: &Uri) -> Result<Q, Problem> {
+    Query::try_from_uri(uri)
+        .map(|Query(query)| query)
+        .map_err(|error| Problem::new(Code::InvalidParameter, error.body_text()))
+}
+
+/// For routes without query parameters.
+#[derive(Debug, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct NoParameters {}
+
+impl FromRequestParts<Arc<App>> for Read {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, state: &Arc<App>) -> Result<Self, Problem> {
+        check_accept(&parts.headers)?;
+        Ok(Self {
+            target: target(parts, state).await?,
+            preconditions: Preconditions::new(&parts.headers),
+            uri: parts.uri.clone(),
+        })
+    }
+}
+
+impl FromRequest<Arc<App>> for Change {
+    type Rejection = Problem;
+
+    async fn from_request(request: Request, state: &Arc<App>) -> Result<Self, Problem> {
+        let (mut parts, body) = request.into_parts();
+        check_accept(&parts.headers)?;
+        check_content(&parts.headers)?;
+        let target = target(&mut parts, state).await?;
+        let body = read_body(&parts.headers, body, state).await?;
+        Ok(Self { target, preconditions: Preconditions::new(&parts.headers), body, uri: parts.uri })
+    }
+}
+
+async fn target(parts: &mut Parts, state: &Arc<App>) -> Result<Target, Problem> {
+    let names = RawPathParams::from_request_parts(parts, state)
+        .await
+        .map_err(|_| Problem::new(Code::UnknownRoute, "the path is not UTF-8"))?;
+    let mut target = Target::default();
+    for (name, value) in &names {
+        match name {
+            "world" => value.clone_into(&mut target.world),
+            _ => target.particle = Some(canonical_id(value)),
+        }
+    }
+    Ok(target)
+}
+
+/// Digits as this service writes them: without a sign or leading zeros, so that each particle has one path.
+fn canonical_id(text: &str) -> Option<ParticleId> {
+    text.parse().ok().filter(|id: &u64| id.to_string() == text).map(ParticleId)
+}
+
+fn read_body(
+    headers: &HeaderMap,
+    body: Body,
+    state: &Arc<App>,
+) -> impl Future<Output = Result<Bytes, Problem>> + use<> {
+    let limit = state.config.body_bytes_max;
+    let timeout = state.config.body_timeout();
+    let declared = headers.get(header::CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse::<usize>().ok());
+    async move {
+        let too_large =
+            || Problem::new(Code::BodyTooLarge, format!("the body is larger than {limit} bytes (--{BODY_BYTES_MAX})"));
+        if declared.is_some_and(|length| length > limit) {
+            return Err(too_large());
+        }
+        match tokio::time::timeout(timeout, Limited::new(body, limit).collect()).await {
+            Err(_) => Err(Problem::new(
+                Code::BodyTimeout,
+                format!("the body did not arrive within {} ms", timeout.as_millis()),
+            )),
+            Ok(Ok(body)) => Ok(body.to_bytes()),
+            Ok(Err(error)) if error.is::<http_body_util::LengthLimitError>() => Err(too_large()),
+            Ok(Err(_)) => Err(Problem::new(Code::MalformedJson, "the body was cut short")),
+        }
+    }
+}
+
+/// A JSON body may say so, say nothing, or come from a plain `curl -d`.
+fn check_content(headers: &HeaderMap) -> Result<(), Problem> {
+    let unsupported = |detail: String| Err(Problem::new(Code::UnsupportedMediaType, detail));
+    if let Some(encoding) = headers.get(header::CONTENT_ENCODING)
+        && encoding != "identity"
+    {
+        return unsupported(format!("a body with Content-Encoding {encoding:?} is not read; send it as it is"));
+    }
+    let Some(content_type) = headers.get(header::CONTENT_TYPE) else { return Ok(()) };
+    let text = content_type.to_str().unwrap_or_default();
+    let readable = MediaType::parse(text).is_ok_and(|media| {
+        media.ty == names::TEXT
+            || (media.ty == names::APPLICATION
+                && (media.subty == names::JSON
+                    || media.suffix == Some(names::JSON)
+                    || media.subty == "x-www-form-urlencoded"))
+    });
+    if readable {
+        Ok(())
+    } else {
+        unsupported(format!("a body of type {content_type:?} is not read; send application/json"))
+    }
+}
+
+/// Whether the client takes JSON; without an Accept header it takes anything.
+fn check_accept(headers: &HeaderMap) -> Result<(), Problem> {
+    let mut ranges = headers.get_all(header::ACCEPT).iter().peekable();
+    if ranges.peek().is_none() {
+        return Ok(());
+    }
+    // The most specific range that covers application/json decides; its q is 0 when it is excluded.
+    let mut best: Option<(u8, bool)> = None;
+    for range in ranges.filter_map(|value| value.to_str().ok()).flat_map(MediaTypeList::new).flatten() {
+        let specificity = match (range.ty.as_str(), range.subty.as_str()) {
+            ("*", "*") => 0,
+            (ty, "*") if ty.eq_ignore_ascii_case("application") => 1,
+            (ty, subty) if ty.eq_ignore_ascii_case("application") && subty.eq_ignore_ascii_case("json") => 2,
+            _ => continue,
+        };
+        let weight = range.get_param(names::Q).map(|q| q.as_str().trim().parse::<f32>());
+        let wanted = weight.is_none_or(|weight| weight.is_ok_and(|weight| weight > 0.0));
+        if best.is_none_or(|(known, _)| specificity >= known) {
+            best = Some((specificity, wanted));
+        }
+    }
+    match best {
+        Some((_, true)) => Ok(()),
+        Some((_, false)) | None => Err(Problem::plain(Code::NotAcceptable)),
+    }
+}
+
+/// If-Match and If-None-Match.
+#[derive(Debug)]
+pub(crate) struct Preconditions {
+    if_match: Option<Vec<String>>,
+    if_none_match: Option<Vec<String>>,
+}
+
+impl Preconditions {
+    fn new(headers: &HeaderMap) -> Self {
+        let tags = |name| {
+            headers.contains_key(&name).then(|| {
+                let values = headers.get_all(&name).iter().filter_map(|value| value.to_str().ok());
+                values.flat_map(|value| value.split(',')).map(|tag| tag.trim().to_owned()).collect()
+            })
+        };
+        Self { if_match: tags(header::IF_MATCH), if_none_match: tags(header::IF_NONE_MATCH) }
+    }
+
+    /// Refuses a change that was decided on another revision.
+    pub(crate) fn check(&self, revision: u64) -> Result<(), Problem> {
+        match &self.if_match {
+            Some(tags) if !tags.iter().any(|tag| tag == "*" || *tag == etag(revision)) => {
+                let detail = format!("the world is at revision {revision}, If-Match asks for {}", tags.join(", "));
+                Err(Problem::new(Code::RevisionMismatch, detail))
+            }
+            Some(_) | None => Ok(()),
+        }
+    }
+
+    /// The same for a world that does not exist: no revision matches.
+    pub(crate) fn check_absent(&self) -> Result<(), Problem> {
+        match self.if_match {
+            Some(_) => {
+                Err(Problem::new(Code::RevisionMismatch, "If-Match asks for a revision of a world that does not exist"))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Whether the client has this revision already.
+    pub(crate) fn has(&self, revision: u64) -> bool {
+        let own = etag(revision);
+        self.if_none_match
+            .as_ref()
+            .is_some_and(|tags| tags.iter().any(|tag| tag == "*" || tag.trim_start_matches("W/") == own))
+    }
+}
+
+/// The entity tag of a revision.
+pub(crate) fn etag(revision: u64) -> String {
+    format!("\"{revision}\"")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{check_accept, check_content};
+    use axum::http::{HeaderMap, HeaderName, HeaderValue, header};
+
+    fn headers(name: HeaderName, value: &'static str) -> HeaderMap {
+        HeaderMap::from_iter([(name, HeaderValue::from_static(value))])
+    }
+
+    #[test]
+    fn accept_is_read_with_its_weights() {
+        for (accept, taken) in [
+            ("application/json", true),
+            ("*/*", true),
+            ("application/*;q=0.2", true),
+            ("text/html, application/json;q=0.5", true),
+            ("text/html", false),
+            ("application/json;q=0, */*", false),
+            ("application/cbor", false),
+        ] {
+            assert_eq!(check_accept(&headers(header::ACCEPT, accept)).is_ok(), taken, "{accept}");
+        }
+        assert!(check_accept(&HeaderMap::new()).is_ok());
+    }
+
+    #[test]
+    fn content_types_that_are_read_as_json() {
+        for (content_type, read) in [
+            ("application/json", true),
+            ("application/json; charset=utf-8", true),
+            ("application/merge-patch+json", true),
+            ("text/plain", true),
+            ("application/x-www-form-urlencoded", true),
+            ("APPLICATION/JSON", true),
+            ("application/cbor", false),
+            ("application/octet-stream", false),
+            ("multipart/form-data; boundary=x", false),
+            ("nonsense", false),
+        ] {
+            assert_eq!(check_content(&headers(header::CONTENT_TYPE, content_type)).is_ok(), read, "{content_type}");
+        }
+        assert!(check_content(&headers(header::CONTENT_ENCODING, "gzip")).is_err());
+    }
+}

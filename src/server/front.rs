@@ -1,0 +1,234 @@
+//! What stands in front of every route: request ids, who may come in, panics, counting.
+
+use std::sync::Arc;
+
+use std::collections::hash_map::RandomState;
+use std::hash::{BuildHasher, Hasher};
+use std::net::{IpAddr, Ipv6Addr};
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use axum::extract::{MatchedPath, Request, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Version, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use sha2::{Digest, Sha256};
+use subtle::ConstantTimeEq;
+use tower_http::cors::{Any, CorsLayer};
+
+use crate::server::App;
+use crate::server::config::Config;
+use crate::server::problem::{Code, Problem};
+
+const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+/// Longer ids of clients are replaced: they are copied into answers and logs.
+const REQUEST_ID_BYTES_MAX: usize = 128;
+
+/// One layer for all of it: each layer costs every request about half a microsecond.
+pub(crate) async fn front(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
+    let id = match request.headers().get(REQUEST_ID) {
+        Some(id) if id.len() <= REQUEST_ID_BYTES_MAX => id.clone(),
+        Some(_) | None => app.request_ids.next(),
+    };
+    let method = request.method().clone();
+    let route = request.extensions().get::<MatchedPath>().cloned();
+    tracing::debug!(request_id = ?id, %method, path = request.uri().path(), "request");
+    let mut response = match admit(&app, &request, route.as_ref()) {
+        Ok(()) => next.run(request).await,
+        Err(problem) => problem.into_response(),
+    };
+    let route = route.as_ref().map_or("none", MatchedPath::as_str);
+    app.metrics.answered(&method, route, response.status());
+    tracing::debug!(request_id = ?id, %method, route, status = response.status().as_u16(), "answer");
+    response.headers_mut().insert(REQUEST_ID, id);
+    response
+}
+
+/// Ids for requests that bring none: a random word for the process, and a count.
+#[derive(Debug)]
+pub(crate) struct RequestIds {
+    process: u64,
+    count: AtomicU64,
+}
+
+impl Default for RequestIds {
+    fn default() -> Self {
+        Self { process: RandomState::new().build_hasher().finish(), count: AtomicU64::new(0) }
+    }
+}
+
+impl RequestIds {
+    fn next(&self) -> HeaderValue {
+        let count = self.count.fetch_add(1, Ordering::Relaxed);
+        HeaderValue::from_str(&format!("{:016x}-{count}", self.process)).expect("hexadecimal digits")
+    }
+}
+
+/// A panic is a defect; it costs one request.
+pub(crate) fn on_panic(panic: Box<dyn std::any::Any + Send>) -> Response {
+    let message = panic.downcast_ref::<&str>().copied().or_else(|| panic.downcast_ref::<String>().map(String::as_str));
+    tracing::error!(message = message.unwrap_or("not a text"), "panic");
+    Problem::plain(Code::InternalError).into_response()
+}
+
+fn admit(app: &App, request: &Request, route: Option<&MatchedPath>) -> Result<(), Problem> {
+    let headers = request.headers();
+    let host = host(request)?;
+    if let Some(host) = host
+        && !is_host_allowed(host, &app.config.allow_host)
+    {
+        let detail =
+            format!("the host {host:?} is not allowed; use an address or localhost, or start with --allow-host");
+        return Err(Problem::new(Code::HostNotAllowed, detail));
+    }
+    check_origin(headers, host, &app.config.allow_origin)?;
+    // Health checks come from machinery that has no secret, and tell none.
+    let open = route.is_some_and(|route| matches!(route.as_str(), "/healthz" | "/readyz"));
+    match &app.tokens {
+        Some(tokens) if !open && !tokens.admit(headers) => Err(Problem::plain(Code::Unauthorized)),
+        Some(_) | None => Ok(()),
+    }
+}
+
+fn host(request: &Request) -> Result<Option<&str>, Problem> {
+    let mut hosts = request.headers().get_all(header::HOST).iter();
+    let refused = || Problem::new(Code::HostNotAllowed, "a request has one Host header");
+    match (hosts.next(), hosts.next()) {
+        (Some(host), None) => host.to_str().map(Some).map_err(|_| refused()),
+        (Some(_), Some(_)) => Err(refused()),
+        (None, _) => match request.uri().authority() {
+            Some(authority) => Ok(Some(authority.as_str())),
+            None if request.version() == Version::HTTP_10 => Ok(None),
+            None => Err(refused()),
+        },
+    }
+}
+
+/// A loopback name, an address, or an allowed name; the port does not matter. A page that reached this service through
+/// a name of its own (DNS rebinding) has that name here.
+fn is_host_allowed(host: &str, allowed: &[String]) -> bool {
+    let name = match host.strip_prefix('[') {
+        Some(rest) => return rest.split_once(']').is_some_and(|(address, _)| address.parse::<Ipv6Addr>().is_ok()),
+        None => host.rsplit_once(':').map_or(host, |(name, _port)| name),
+    };
+    let name = name.strip_suffix('.').unwrap_or(name).to_ascii_lowercase();
+    name == "localhost"
+        || name.ends_with(".localhost")
+        || name.parse::<IpAddr>().is_ok()
+        || allowed.iter().any(|allowed| allowed.eq_ignore_ascii_case(&name))
+}
+
+/// Bodies are read as JSON whatever a plain form calls them, so what a browser sends from another site is refused.
+fn check_origin(headers: &HeaderMap, host: Option<&str>, allowed: &[String]) -> Result<(), Problem> {
+    let refused = |what: &str| {
+        let detail = format!("a browser sent this from {what}; allow that origin with --allow-origin");
+        Err(Problem::new(Code::CrossOrigin, detail))
+    };
+    if let Some(origin) = headers.get(header::ORIGIN) {
+        let origin = origin.to_str().unwrap_or("an unreadable origin");
+        if allowed.iter().any(|allowed| allowed == origin) {
+            return Ok(());
+        }
+        if origin.strip_prefix("http://") != host {
+            return refused(origin);
+        }
+    }
+    if headers.get("sec-fetch-site").is_some_and(|site| site == "cross-site") {
+        return refused("another site");
+    }
+    Ok(())
+}
+
+/// For the pages of allowed origins: what a browser must be told.
+pub(crate) fn cors(config: &Config) -> Option<CorsLayer> {
+    let origins: Vec<HeaderValue> = config.allow_origin.iter().filter_map(|origin| origin.parse().ok()).collect();
+    if origins.is_empty() {
+        return None;
+    }
+    let exposed = [header::ETAG, header::LOCATION, header::RETRY_AFTER, REQUEST_ID];
+    Some(CorsLayer::new().allow_origin(origins).allow_methods(Any).allow_headers(Any).expose_headers(exposed))
+}
+
+/// The tokens that open the service; only their hashes are kept.
+#[derive(Clone)]
+pub struct Tokens(Vec<[u8; 32]>);
+
+impl std::fmt::Debug for Tokens {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} tokens", self.0.len())
+    }
+}
+
+/// Why tokens could not be read.
+#[derive(Debug, thiserror::Error)]
+pub enum AccessError {
+    /// The file.
+    #[error("cannot read the token file {path}: {source}")]
+    Unreadable {
+        /// Its path.
+        path: String,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// No line with a token.
+    #[error("the token file {path} has no token; write one a line, for example from `openssl rand -hex 32`")]
+    Empty {
+        /// Its path.
+        path: String,
+    },
+}
+
+impl Tokens {
+    /// Reads a file with one token a line; blank lines and lines that begin with `#` do not count.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or has no token.
+    pub fn read(path: &Path) -> Result<Self, AccessError> {
+        let shown = path.display().to_string();
+        let text =
+            std::fs::read_to_string(path).map_err(|source| AccessError::Unreadable { path: shown.clone(), source })?;
+        let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
+        let tokens: Vec<[u8; 32]> = lines.map(hash).collect();
+        if tokens.is_empty() { Err(AccessError::Empty { path: shown }) } else { Ok(Self(tokens)) }
+    }
+
+    /// Whether the request carries one of them. Takes the same time for every wrong token.
+    fn admit(&self, headers: &HeaderMap) -> bool {
+        let given = headers.get(header::AUTHORIZATION).and_then(|value| value.to_str().ok());
+        let Some((scheme, token)) = given.and_then(|value| value.split_once(' ')) else { return false };
+        let given = hash(token.trim());
+        let known = self.0.iter().fold(subtle::Choice::from(0), |known, token| known | token.ct_eq(&given));
+        scheme.eq_ignore_ascii_case("bearer") && bool::from(known)
+    }
+}
+
+fn hash(token: &str) -> [u8; 32] {
+    Sha256::digest(token.as_bytes()).into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_host_allowed;
+
+    #[test]
+    fn hosts() {
+        let allowed = ["physics.example".to_owned()];
+        for host in [
+            "localhost",
+            "LOCALHOST:8080",
+            "a.localhost",
+            "127.0.0.1:1",
+            "10.0.0.7",
+            "[::1]:80",
+            "[::1]",
+            "Physics.example:9",
+        ] {
+            assert!(is_host_allowed(host, &allowed), "{host}");
+        }
+        for host in
+            ["evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "[evil]", "", "physics.example.evil"]
+        {
+            assert!(!is_host_allowed(host, &allowed), "{host}");
+        }
+    }
+}

@@ -1,0 +1,308 @@
+//! Strict JSON in, exact JSON out.
+
+use std::fmt;
+use std::marker::PhantomData;
+
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{Deserialize, DeserializeOwned, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde::ser::{Serialize, Serializer};
+use serde_path_to_error::{Path, Segment};
+
+use crate::column::Column;
+use crate::real::Real;
+use crate::server::problem::{Code, Problem};
+
+/// A number type that JSON can carry: read from its digits straight into its precision, written with the fewest digits
+/// that read back as the same number.
+pub(crate) trait WireReal: Real + Serialize + Element<Value = Self> {}
+impl WireReal for f32 {}
+impl WireReal for f64 {}
+
+/// Reads a body; what is not JSON at all is [`Code::MalformedJson`], what is the wrong JSON says where.
+pub(crate) fn parse<'a, T: Deserialize<'a>>(body: &'a [u8]) -> Result<T, Problem> {
+    let text = std::str::from_utf8(body)
+        .map_err(|error| Problem::new(Code::MalformedJson, format!("the body is not UTF-8: {error}")))?;
+    parse_part(text, "")
+}
+
+/// Reads one value out of a body that was seen to be JSON; `prefix` is the pointer to it.
+pub(crate) fn parse_part<'a, T: Deserialize<'a>>(text: &'a str, prefix: &str) -> Result<T, Problem> {
+    // Keeping track of the path costs a third on large bodies, so it is kept only to explain a failure.
+    serde_json::from_str(text).or_else(|_| {
+        if let Err(error) = serde_json::from_str::<IgnoredAny>(text) {
+            return Err(Problem::new(Code::MalformedJson, format!("the body is not JSON: {error}")));
+        }
+        serde_path_to_error::deserialize(&mut serde_json::Deserializer::from_str(text))
+            .map_err(|error| explain(&error, prefix))
+    })
+}
+
+fn explain(error: &serde_path_to_error::Error<serde_json::Error>, prefix: &str) -> Problem {
+    let detail = error.inner().to_string();
+    // serde has no error codes; these beginnings are those of its own constructors and of serde_json.
+    let code = [
+        ("unknown field", Code::UnknownField),
+        ("duplicate field", Code::DuplicateField),
+        ("missing field", Code::MissingField),
+        ("number out of range", Code::NotFinite),
+    ]
+    .into_iter()
+    .find_map(|(beginning, code)| detail.starts_with(beginning).then_some(code))
+    .unwrap_or(Code::InvalidField);
+    Problem::at(code, format!("{prefix}{}", pointer(error.path())), detail)
+}
+
+/// JSON Pointer (RFC 6901).
+fn pointer(path: &Path) -> String {
+    path.iter()
+        .map(|segment| match segment {
+            Segment::Seq { index } => format!("/{index}"),
+            Segment::Map { key } => format!("/{}", key.replace('~', "~0").replace('/', "~1")),
+            Segment::Enum { .. } | Segment::Unknown => String::new(),
+        })
+        .collect()
+}
+
+/// A body or an element that must be a JSON object: serde would take a list of the fields as well.
+#[derive(Debug)]
+pub(crate) struct Object<T>(pub(crate) T);
+
+impl<'de, T: Deserialize<'de>> Deserialize<'de> for Object<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Fields<T>(PhantomData<T>);
+        impl<'de, T: Deserialize<'de>> Visitor<'de> for Fields<T> {
+            type Value = Object<T>;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an object")
+            }
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Self::Value, A::Error> {
+                T::deserialize(MapAccessDeserializer::new(map)).map(Object)
+            }
+        }
+        deserializer.deserialize_map(Fields(PhantomData))
+    }
+}
+
+/// For `#[serde(default, deserialize_with = "present")]`: an absent field is `None`, and `null` is not a value.
+pub(crate) fn present<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Option<T>, D::Error> {
+    T::deserialize(deserializer).map(Some)
+}
+
+/// A vector: a list of exactly three numbers.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Vector<R>(pub(crate) [R; 3]);
+
+impl<'de, R: WireReal> Deserialize<'de> for Vector<R> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Three<R>(PhantomData<R>);
+        impl<'de, R: WireReal> Visitor<'de> for Three<R> {
+            type Value = Vector<R>;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a vector of three numbers")
+            }
+            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Self::Value, A::Error> {
+                let mut vector = [R::ZERO; 3];
+                for (k, component) in vector.iter_mut().enumerate() {
+                    *component = list.next_element()?.ok_or_else(|| A::Error::invalid_length(k, &self))?;
+                }
+                if list.next_element::<IgnoredAny>()?.is_some() {
+                    return Err(A::Error::invalid_length(4, &self));
+                }
+                Ok(Vector(vector))
+            }
+        }
+        deserializer.deserialize_seq(Three(PhantomData))
+    }
+}
+
+/// The values of a column, as they stand in JSON.
+pub(crate) trait Element: DeserializeOwned {
+    /// What it is in the engine.
+    type Value: Copy + PartialEq;
+    /// Whether one value alone is a list, so that a list of values is a list of lists.
+    const IS_LIST: bool;
+    fn value(self) -> Self::Value;
+}
+
+impl Element for f32 {
+    type Value = f32;
+    const IS_LIST: bool = false;
+    fn value(self) -> f32 {
+        self
+    }
+}
+
+impl Element for f64 {
+    type Value = f64;
+    const IS_LIST: bool = false;
+    fn value(self) -> f64 {
+        self
+    }
+}
+
+impl<R: WireReal> Element for Vector<R> {
+    type Value = R::Vec3;
+    const IS_LIST: bool = true;
+    fn value(self) -> R::Vec3 {
+        self.0.into()
+    }
+}
+
+impl<R: WireReal> Element for Option<Vector<R>> {
+    type Value = Option<R::Vec3>;
+    const IS_LIST: bool = true;
+    fn value(self) -> Option<R::Vec3> {
+        self.map(Element::value)
+    }
+}
+
+/// A column: one value for all, or a list with one for each.
+pub(crate) fn column<E: Element>(text: &str, field: &str) -> Result<Column<E::Value>, Problem> {
+    let prefix = format!("/{field}");
+    let inside = text.trim_start().strip_prefix('[').map(str::trim_start);
+    let is_list = match inside {
+        None => false,
+        Some(inside) => !E::IS_LIST || inside.starts_with(['[', 'n', ']']),
+    };
+    if is_list {
+        let values: Vec<E> = parse_part(text, &prefix)?;
+        Ok(Column::PerParticle(values.into_iter().map(E::value).collect()))
+    } else {
+        Ok(Column::Uniform(parse_part::<E>(text, &prefix)?.value()))
+    }
+}
+
+/// A value that is written as one of a list of names.
+pub(crate) trait Choice: Copy + 'static {
+    const ALL: &'static [Self];
+    fn name(self) -> &'static str;
+}
+
+/// A [`Choice`] in JSON.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Named<T>(pub(crate) T);
+
+impl<'de, T: Choice> Deserialize<'de> for Named<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Name<T>(PhantomData<T>);
+        impl<T: Choice> Visitor<'_> for Name<T> {
+            type Value = Named<T>;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                let names: Vec<&str> = T::ALL.iter().map(|choice| choice.name()).collect();
+                write!(f, "one of {}", names.join(", "))
+            }
+            fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<Self::Value, E> {
+                let choice = T::ALL.iter().find(|choice| choice.name() == name);
+                choice
+                    .map(|choice| Named(*choice))
+                    .ok_or_else(|| E::invalid_value(serde::de::Unexpected::Str(name), &self))
+            }
+        }
+        deserializer.deserialize_str(Name(PhantomData))
+    }
+}
+
+impl<T: Choice> Serialize for Named<T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.0.name())
+    }
+}
+
+/// JSON with a newline behind it, since it is read in terminals too.
+pub(crate) fn write<T: Serialize>(value: &T) -> Vec<u8> {
+    let mut text = serde_json::to_vec(value).expect("answers are structs of numbers, strings and lists");
+    text.push(b'\n');
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Code, Object, Vector, column, parse};
+    use crate::column::Column;
+    use proptest::prelude::*;
+    use serde::Deserialize;
+
+    #[derive(Debug, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Body {
+        #[expect(dead_code, reason = "only read")]
+        mass: f64,
+    }
+
+    #[test]
+    fn what_is_wrong_is_told_with_its_place() {
+        for (text, code, pointer) in [
+            ("", Code::MalformedJson, None),
+            ("{\"mass\":1", Code::MalformedJson, None),
+            ("{\"mass\":1}x", Code::MalformedJson, None),
+            ("{\"mass\":NaN}", Code::MalformedJson, None),
+            ("{\"mass\":\"a\" ", Code::MalformedJson, None),
+            ("[1]", Code::InvalidField, Some("")),
+            ("{\"mass\":\"1\"}", Code::InvalidField, Some("/mass")),
+            ("{\"mass\":null}", Code::InvalidField, Some("/mass")),
+            ("{\"mass\":1e400}", Code::NotFinite, Some("/mass")),
+            ("{\"mass\":1,\"mass\":1}", Code::DuplicateField, Some("/mass")),
+            ("{\"mass\":1,\"a/b\":1}", Code::UnknownField, Some("/a~1b")),
+            ("{}", Code::MissingField, Some("")),
+        ] {
+            let problem = parse::<Object<Body>>(text.as_bytes()).expect_err(text);
+            assert_eq!((problem.code, problem.pointer.as_deref()), (code, pointer), "{text}: {}", problem.detail);
+        }
+        let problem = parse::<Object<Body>>(b"{\"mass\":\"\xff\"}").expect_err("not UTF-8");
+        assert_eq!(problem.code, Code::MalformedJson);
+    }
+
+    #[test]
+    fn a_column_is_one_value_or_a_list() {
+        let vector = |text| column::<Vector<f64>>(text, "position");
+        assert_eq!(vector("[1,2,3]").expect("one"), Column::Uniform([1.0, 2.0, 3.0].into()));
+        assert_eq!(vector(" [ [1,2,3] ]").expect("a list"), Column::PerParticle(vec![[1.0, 2.0, 3.0].into()]));
+        let own = column::<Option<Vector<f64>>>("[null,[1,2,3]]", "acceleration").expect("a list with null");
+        assert_eq!(own, Column::PerParticle(vec![None, Some([1.0, 2.0, 3.0].into())]));
+        assert_eq!(column::<Option<Vector<f64>>>("null", "acceleration").expect("none"), Column::Uniform(None));
+        for (text, pointer) in
+            [("[1,2]", "/position"), ("[[1,2,3],[1,2,3,4]]", "/position/1"), ("[[1,2,\"3\"]]", "/position/0/2")]
+        {
+            assert_eq!(vector(text).expect_err(text).pointer.as_deref(), Some(pointer), "{text}");
+        }
+    }
+
+    proptest! {
+        /// Any finite bits come back, also when they are sent with more digits than needed.
+        #[test]
+        fn numbers_keep_their_bits(double in any::<u64>(), single in any::<u32>()) {
+            let double = f64::from_bits(double);
+            if double.is_finite() {
+                let text = String::from_utf8(super::write(&double)).expect("ASCII");
+                prop_assert_eq!(parse::<f64>(text.as_bytes()).expect(&text).to_bits(), double.to_bits());
+            }
+            let single = f32::from_bits(single);
+            if single.is_finite() {
+                let shortest = String::from_utf8(super::write(&single)).expect("ASCII");
+                let exact = format!("{:e}", f64::from(single));
+                for text in [shortest, exact] {
+                    prop_assert_eq!(parse::<f32>(text.as_bytes()).expect(&text).to_bits(), single.to_bits());
+                }
+            }
+        }
+
+        /// A single is the number nearest to the digits, not to the double nearest to them.
+        #[test]
+        fn singles_are_rounded_once(bits in 0x0080_0000u32..0x7f00_0000) {
+            let (low, high) = (f32::from_bits(bits), f32::from_bits(bits + 1));
+            let middle = f64::midpoint(f64::from(low), f64::from(high));
+            // A hair above the middle, by less than a double can hold.
+            let text = format!("{:.200}", middle).trim_end_matches('0').to_owned() + "0000000000000000000001";
+            if middle > 1e-30 && middle < 1e30 {
+                prop_assert_eq!(parse::<f32>(text.as_bytes()).expect(&text).to_bits(), high.to_bits(), "{}", text);
+            }
+        }
+    }
+
+    #[test]
+    fn what_a_single_cannot_hold_is_refused() {
+        for text in ["1e39", "3.4028236e38", "-1e39"] {
+            assert_eq!(parse::<f32>(text.as_bytes()).expect_err(text).code, Code::NotFinite);
+        }
+    }
+}

@@ -1,0 +1,52 @@
+//! What `/metrics` counts.
+
+use axum::http::{Method, StatusCode};
+use prometheus_client::encoding::EncodeLabelSet;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::registry::Registry;
+
+use crate::command::Advanced;
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct Answer {
+    method: String,
+    route: String,
+    status: u16,
+}
+
+/// Counters; clones share them.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Metrics {
+    answers: Family<Answer, Counter>,
+    advances: Counter,
+    particle_steps: Counter,
+}
+
+impl Metrics {
+    /// Routes are few and methods are those of routes, so that the number of series is bounded.
+    pub(crate) fn answered(&self, method: &Method, route: &str, status: StatusCode) {
+        let method = if route == "none" { "any" } else { method.as_str() };
+        let answer = Answer { method: method.to_owned(), route: route.to_owned(), status: status.as_u16() };
+        self.answers.get_or_create(&answer).inc();
+    }
+
+    pub(crate) fn advanced(&self, advanced: &Advanced) {
+        self.advances.inc();
+        self.particle_steps.inc_by(advanced.steps * advanced.integrated as u64);
+    }
+
+    /// OpenMetrics text.
+    pub(crate) fn text(&self, worlds: usize) -> String {
+        let mut registry = Registry::with_prefix("pointmass");
+        registry.register("answers", "Requests answered, by route and status", self.answers.clone());
+        registry.register("advances", "Advances of worlds", self.advances.clone());
+        registry.register("particle_steps", "Particles integrated x steps", self.particle_steps.clone());
+        let count: prometheus_client::metrics::gauge::Gauge = prometheus_client::metrics::gauge::Gauge::default();
+        count.set(i64::try_from(worlds).unwrap_or(i64::MAX));
+        registry.register("worlds", "Worlds held in memory", count);
+        let mut text = String::new();
+        prometheus_client::encoding::text::encode(&mut text, &registry).expect("a String takes all of it");
+        text
+    }
+}

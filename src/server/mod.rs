@@ -1,0 +1,134 @@
+//! The HTTP service: worlds behind names, JSON in and out. The only part of the crate that knows the network.
+//!
+//! [`Config`] says how, [`App`] holds the worlds, [`router`] is the service as a function of requests, [`serve`] puts
+//! it behind [`Listener`]s.
+
+mod config;
+mod extract;
+mod front;
+mod healthcheck;
+mod json;
+mod listen;
+mod metrics;
+mod openapi;
+mod problem;
+mod routes;
+mod slot;
+mod wire;
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use axum::Router;
+use axum::body::Bytes;
+use tower_http::catch_panic::CatchPanicLayer;
+use utoipa_axum::router::OpenApiRouter;
+
+pub use config::{Cli, Command, Config, LogFormat};
+pub use front::{AccessError, Tokens};
+pub use healthcheck::healthcheck;
+pub use listen::{ListenError, Listener, serve};
+
+use crate::registry::Registry;
+use extract::Target;
+use metrics::Metrics;
+use problem::{Code, Problem};
+use slot::AnySlot;
+
+/// The worlds of a service and what its routes need besides.
+#[derive(Debug)]
+pub struct App {
+    pub(crate) config: Config,
+    pub(crate) tokens: Option<Tokens>,
+    pub(crate) worlds: Registry<AnySlot>,
+    pub(crate) metrics: Metrics,
+    /// Set once the service is to end: not ready for new work.
+    pub(crate) draining: AtomicBool,
+    pub(crate) request_ids: front::RequestIds,
+    pub(crate) openapi: Bytes,
+}
+
+impl App {
+    /// A service without worlds.
+    ///
+    /// # Errors
+    /// When the token file cannot be read, or has no token.
+    pub fn new(config: Config) -> Result<Arc<Self>, AccessError> {
+        Ok(Arc::new(Self {
+            tokens: config.token_file.as_deref().map(Tokens::read).transpose()?,
+            worlds: Registry::new(config.worlds_max),
+            metrics: Metrics::default(),
+            draining: AtomicBool::new(false),
+            request_ids: front::RequestIds::default(),
+            openapi: openapi::document(documented_routes().to_openapi()).into(),
+            config,
+        }))
+    }
+
+    /// The world of the path.
+    pub(crate) fn slot(&self, target: &Target) -> Result<AnySlot, Problem> {
+        self.worlds.get(&target.world).ok_or_else(|| slot::unknown_world(&target.world))
+    }
+}
+
+fn documented_routes() -> OpenApiRouter<Arc<App>> {
+    OpenApiRouter::new()
+        .merge(routes::worlds::routes())
+        .merge(routes::particles::routes())
+        .merge(routes::forces::routes())
+        .merge(routes::advance::routes())
+        .merge(routes::service::routes())
+}
+
+/// The service as a function of requests, without a network.
+pub fn router(app: &Arc<App>) -> Router {
+    let (routes, _) = documented_routes().split_for_parts();
+    with_layers(routes.merge(openapi::docs_page()), app)
+}
+
+fn with_layers(routes: Router<Arc<App>>, app: &Arc<App>) -> Router {
+    let routes = routes
+        .fallback(|| async { Problem::plain(Code::UnknownRoute) })
+        .method_not_allowed_fallback(|| async { Problem::plain(Code::MethodNotAllowed) })
+        .layer(CatchPanicLayer::custom(front::on_panic))
+        .layer(axum::middleware::from_fn_with_state(Arc::clone(app), front::front));
+    let routes = match front::cors(&app.config) {
+        Some(cors) => routes.layer(cors),
+        None => routes,
+    };
+    routes.with_state(Arc::clone(app))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{App, Config, with_layers};
+    use axum::Router;
+    use axum::body::Body;
+    use axum::http::Request;
+    use axum::routing::get;
+    use http_body_util::BodyExt;
+    use tower::ServiceExt;
+
+    #[tokio::test]
+    async fn a_panic_costs_one_request_and_is_told_like_any_problem() {
+        let app = App::new(Config::default()).expect("no token file");
+        let routes: Router<Arc<App>> = Router::new().route(
+            "/panic",
+            get(|| async {
+                if true {
+                    panic!("a defect")
+                }
+            }),
+        );
+        let service = with_layers(routes, &app);
+        for _ in 0..2 {
+            let request = Request::get("/panic").header("host", "localhost").body(Body::empty()).expect("a request");
+            let response = service.clone().oneshot(request).await.expect("infallible");
+            assert_eq!(response.status(), 500);
+            assert!(response.headers().contains_key("x-request-id"));
+            let body = response.into_body().collect().await.expect("in memory").to_bytes();
+            let problem: serde_json::Value = serde_json::from_slice(&body).expect("JSON");
+            assert_eq!(problem["code"], "internal_error");
+        }
+    }
+}

@@ -1,0 +1,242 @@
+//! The OpenAPI description: paths and bodies come from the routes, what all of them share is added here.
+
+use std::sync::Arc;
+
+use axum::Router;
+use utoipa::openapi::header::Header;
+use utoipa::openapi::path::{Operation, Parameter, ParameterBuilder, ParameterIn};
+use utoipa::openapi::schema::{Object, Schema, Type};
+use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
+use utoipa::openapi::{
+    ContentBuilder, InfoBuilder, LicenseBuilder, OpenApi, PathItem, Ref, RefOr, Required, ResponseBuilder, Tag,
+};
+use utoipa::{PartialSchema, ToSchema};
+use utoipa_swagger_ui::{Config, SwaggerUi};
+
+use crate::server::App;
+use crate::server::problem::{Code, ProblemBody};
+
+/// The page over the description; its scripts are part of the binary.
+pub(crate) fn docs_page() -> Router<Arc<App>> {
+    SwaggerUi::new("/docs").config(Config::from("/openapi.json")).into()
+}
+
+/// The whole description as JSON.
+pub(crate) fn document(mut api: OpenApi) -> Vec<u8> {
+    api.info = InfoBuilder::new()
+        .title("pointmass")
+        .version(env!("CARGO_PKG_VERSION"))
+        .description(Some(INTRODUCTION))
+        .license(Some(LicenseBuilder::new().name("MIT OR Apache-2.0").identifier(Some("MIT OR Apache-2.0")).build()))
+        .build();
+    api.tags = Some(
+        [
+            ("worlds", "Worlds and their settings"),
+            ("particles", "Particles, their properties and their state"),
+            ("forces", "Forces and impulses"),
+            ("advance", "Time"),
+            ("service", "The service itself"),
+        ]
+        .map(|(name, description)| {
+            let mut tag = Tag::new(name);
+            tag.description = Some(description.to_owned());
+            tag
+        })
+        .to_vec(),
+    );
+    let components = api.components.get_or_insert_default();
+    components.schemas.insert("Problem".to_owned(), ProblemBody::schema());
+    let mut nested = Vec::new();
+    ProblemBody::schemas(&mut nested);
+    components.schemas.extend(nested);
+    components.security_schemes.insert(
+        "token".to_owned(),
+        RefOr::T(SecurityScheme::Http(
+            HttpBuilder::new().scheme(HttpAuthScheme::Bearer).description(Some("With --token-file only")).build(),
+        )),
+    );
+    api.security = Some(vec![SecurityRequirement::default(), SecurityRequirement::new("token", Vec::<String>::new())]);
+    for (path, item) in &mut api.paths.paths {
+        for (method, operation) in operations(item) {
+            complete(path, method, operation);
+        }
+    }
+    let mut text = api.to_pretty_json().expect("a description is plain data").into_bytes();
+    text.push(b'\n');
+    text
+}
+
+const INTRODUCTION: &str = "Worlds of point-mass particles: create, set, advance by a duration, read. \
+Numbers keep their bits on the way in and out. A refused request changes nothing; a refusal is problem details \
+(RFC 9457) with a stable `code`. Units are SI by convention.";
+
+fn operations(item: &mut PathItem) -> impl Iterator<Item = (&'static str, &mut Operation)> {
+    [
+        ("get", &mut item.get),
+        ("put", &mut item.put),
+        ("post", &mut item.post),
+        ("patch", &mut item.patch),
+        ("delete", &mut item.delete),
+    ]
+    .into_iter()
+    .filter_map(|(method, operation)| operation.as_mut().map(|operation| (method, operation)))
+}
+
+/// Adds what follows from path and method: names in the path, conditional headers, and every problem.
+fn complete(path: &str, method: &str, operation: &mut Operation) {
+    let parameters = operation.parameters.get_or_insert_default();
+    if path.contains("{world}") {
+        parameters.push(parameter("world", ParameterIn::Path, "the name of the world", Type::String));
+    }
+    if path.contains("{id}") {
+        parameters.push(parameter("id", ParameterIn::Path, "the id of the particle", Type::Integer));
+    }
+    let of_a_world = path.contains("{world}");
+    if of_a_world && method == "get" {
+        parameters.push(parameter(
+            "if-none-match",
+            ParameterIn::Header,
+            "answer 304 when this is still the revision",
+            Type::String,
+        ));
+        let etag = Header::new(Schema::Object(Object::with_type(Type::String)));
+        let unchanged = ResponseBuilder::new().description("Not modified").header("etag", etag).build();
+        operation.responses.responses.insert("304".to_owned(), RefOr::T(unchanged));
+    }
+    if of_a_world && method != "get" {
+        parameters.push(parameter(
+            "if-match",
+            ParameterIn::Header,
+            "refuse with 412 when this is no longer the revision",
+            Type::String,
+        ));
+    }
+    if let Some(RefOr::T(body)) = &mut operation.request_body {
+        let may_be_empty =
+            matches!(operation.operation_id.as_deref(), Some("create_world" | "create_named_by_service"));
+        body.required = Some(if may_be_empty { Required::False } else { Required::True });
+    }
+    for response in operation.responses.responses.values_mut() {
+        if let RefOr::T(response) = response
+            && response.description.is_empty()
+        {
+            "Done".clone_into(&mut response.description);
+        }
+    }
+    let mut by_status: std::collections::BTreeMap<u16, Vec<Code>> = std::collections::BTreeMap::new();
+    for code in codes(path, method, operation.operation_id.as_deref().unwrap_or_default()) {
+        by_status.entry(code.status().as_u16()).or_default().push(code);
+    }
+    for (status, codes) in by_status {
+        let listed: Vec<String> = codes.iter().map(|code| format!("`{}`", code.name())).collect();
+        let content = ContentBuilder::new().schema(Some(RefOr::Ref(Ref::from_schema_name("Problem")))).build();
+        let response =
+            ResponseBuilder::new().description(listed.join(", ")).content("application/problem+json", content);
+        operation.responses.responses.insert(status.to_string(), RefOr::T(response.build()));
+    }
+}
+
+fn parameter(name: &str, place: ParameterIn, description: &str, schema: Type) -> RefOr<Parameter> {
+    let required = if matches!(place, ParameterIn::Path) { Required::True } else { Required::False };
+    let schema = Schema::Object(Object::with_type(schema));
+    let parameter = ParameterBuilder::new()
+        .name(name)
+        .parameter_in(place)
+        .description(Some(description))
+        .required(required)
+        .schema(Some(schema));
+    RefOr::T(parameter.build())
+}
+
+/// Every problem that a route can answer with. A test holds each refusal it sees against this.
+pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
+    let mut codes = vec![Code::HostNotAllowed, Code::CrossOrigin, Code::InternalError];
+    let open = matches!(path, "/healthz" | "/readyz");
+    if !open {
+        codes.push(Code::Unauthorized);
+    }
+    if path == "/readyz" {
+        codes.push(Code::ShuttingDown);
+    }
+    if path == "/problems/{code}" {
+        codes.push(Code::UnknownRoute);
+    }
+    if !path.starts_with("/v1") {
+        return codes;
+    }
+    codes.extend([Code::NotAcceptable, Code::InvalidParameter]);
+    if path.contains("{world}") {
+        if operation != "create_world" {
+            codes.extend([Code::UnknownWorld, Code::WorldQuarantined]);
+        }
+        codes.push(Code::ShuttingDown);
+    }
+    if path.contains("{id}") {
+        codes.push(Code::UnknownParticle);
+    }
+    if method != "get" {
+        codes.extend([
+            Code::UnsupportedMediaType,
+            Code::BodyTooLarge,
+            Code::BodyTimeout,
+            Code::RevisionMismatch,
+            Code::MalformedJson,
+        ]);
+    }
+    if matches!(method, "post" | "put" | "patch") {
+        codes.extend([Code::InvalidField, Code::UnknownField, Code::DuplicateField, Code::NotFinite]);
+    }
+    let masses = [Code::MassNotPositive, Code::InverseMassNegative, Code::MassAndInverseMass];
+    match operation {
+        "create_world" => codes.extend([
+            Code::WorldExists,
+            Code::InvalidWorldName,
+            Code::LimitReached,
+            Code::MaxStepNotPositive,
+            Code::IntegratorCannotServeDamping,
+        ]),
+        "create_named_by_service" => codes.extend([
+            Code::WorldExists,
+            Code::LimitReached,
+            Code::MaxStepNotPositive,
+            Code::IntegratorCannotServeDamping,
+        ]),
+        "configure_world" => codes.extend([Code::MaxStepNotPositive, Code::IntegratorCannotServeDamping]),
+        "create_particles" => {
+            codes.extend(masses);
+            codes.extend([Code::DampingOutOfRange, Code::LengthMismatch, Code::LimitReached]);
+        }
+        "list_particles" => codes.push(Code::UnknownParticle),
+        "set_particles" => {
+            codes.extend(masses);
+            codes.extend([
+                Code::DampingOutOfRange,
+                Code::LengthMismatch,
+                Code::IntegratorOwnsField,
+                Code::UnknownParticle,
+            ]);
+        }
+        "set_particle" => {
+            codes.extend(masses);
+            codes.extend([Code::DampingOutOfRange, Code::IntegratorOwnsField]);
+        }
+        "set_mass" => {
+            codes.extend(masses);
+            codes.push(Code::MissingField);
+        }
+        "place_particle" | "add_force" | "apply_impulse" => codes.push(Code::MissingField),
+        "add_forces" => codes.extend([Code::MissingField, Code::LengthMismatch, Code::UnknownParticle]),
+        "advance" => codes.extend([
+            Code::MissingField,
+            Code::DurationNotPositive,
+            Code::StepsNotPositive,
+            Code::MaxStepNotPositive,
+            Code::StepsAndMaxStep,
+            Code::ClockOutOfRange,
+            Code::ComputeBudget,
+            Code::Diverged,
+        ]),
+        _ => {}
+    }
+    codes
+}

@@ -1,0 +1,367 @@
+//! What the service refuses, as RFC 9457 problem details.
+
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use crate::error::{Error, Limit, Place};
+use crate::server::config;
+
+/// The stable word of a problem. Each has a page under `/problems/`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(crate) enum Code {
+    HostNotAllowed,
+    CrossOrigin,
+    Unauthorized,
+    UnknownRoute,
+    MethodNotAllowed,
+    NotAcceptable,
+    UnsupportedMediaType,
+    BodyTooLarge,
+    BodyTimeout,
+    UnknownWorld,
+    UnknownParticle,
+    MalformedJson,
+    RevisionMismatch,
+    WorldExists,
+    InvalidWorldName,
+    InvalidField,
+    UnknownField,
+    DuplicateField,
+    MissingField,
+    InvalidParameter,
+    NotFinite,
+    MassNotPositive,
+    InverseMassNegative,
+    MassAndInverseMass,
+    DampingOutOfRange,
+    LengthMismatch,
+    RemovedTwice,
+    DurationNotPositive,
+    MaxStepNotPositive,
+    StepsNotPositive,
+    StepsAndMaxStep,
+    ClockOutOfRange,
+    IntegratorOwnsField,
+    IntegratorCannotServeDamping,
+    ComputeBudget,
+    LimitReached,
+    Diverged,
+    InternalError,
+    WorldQuarantined,
+    ShuttingDown,
+}
+
+impl Code {
+    pub(crate) const ALL: [Self; 40] = [
+        Self::HostNotAllowed,
+        Self::CrossOrigin,
+        Self::Unauthorized,
+        Self::UnknownRoute,
+        Self::MethodNotAllowed,
+        Self::NotAcceptable,
+        Self::UnsupportedMediaType,
+        Self::BodyTooLarge,
+        Self::BodyTimeout,
+        Self::UnknownWorld,
+        Self::UnknownParticle,
+        Self::MalformedJson,
+        Self::RevisionMismatch,
+        Self::WorldExists,
+        Self::InvalidWorldName,
+        Self::InvalidField,
+        Self::UnknownField,
+        Self::DuplicateField,
+        Self::MissingField,
+        Self::InvalidParameter,
+        Self::NotFinite,
+        Self::MassNotPositive,
+        Self::InverseMassNegative,
+        Self::MassAndInverseMass,
+        Self::DampingOutOfRange,
+        Self::LengthMismatch,
+        Self::RemovedTwice,
+        Self::DurationNotPositive,
+        Self::MaxStepNotPositive,
+        Self::StepsNotPositive,
+        Self::StepsAndMaxStep,
+        Self::ClockOutOfRange,
+        Self::IntegratorOwnsField,
+        Self::IntegratorCannotServeDamping,
+        Self::ComputeBudget,
+        Self::LimitReached,
+        Self::Diverged,
+        Self::InternalError,
+        Self::WorldQuarantined,
+        Self::ShuttingDown,
+    ];
+
+    pub(crate) fn name(self) -> &'static str {
+        self.row().0
+    }
+
+    pub(crate) fn status(self) -> StatusCode {
+        self.row().1
+    }
+
+    pub(crate) fn title(self) -> &'static str {
+        self.row().2
+    }
+
+    pub(crate) fn explanation(self) -> &'static str {
+        self.row().3
+    }
+
+    /// Name, status, title, explanation.
+    #[rustfmt::skip]
+    fn row(self) -> (&'static str, StatusCode, &'static str, &'static str) {
+        use StatusCode as S;
+        const MEANING: StatusCode = StatusCode::UNPROCESSABLE_ENTITY;
+        match self {
+            Self::HostNotAllowed => ("host_not_allowed", S::FORBIDDEN, "Host not allowed",
+                "The Host header must be a loopback name, an IP address, or a name given with --allow-host. This keeps web pages from reaching the service through a name of their own."),
+            Self::CrossOrigin => ("cross_origin", S::FORBIDDEN, "Request from another origin",
+                "A browser sent this request from another site. Allow that site with --allow-origin."),
+            Self::Unauthorized => ("unauthorized", S::UNAUTHORIZED, "No valid token",
+                "Send one of the tokens of --token-file as `Authorization: Bearer TOKEN`."),
+            Self::UnknownRoute => ("unknown_route", S::NOT_FOUND, "Unknown route",
+                "There is nothing at this path. GET /openapi.json lists every route."),
+            Self::MethodNotAllowed => ("method_not_allowed", S::METHOD_NOT_ALLOWED, "Method not allowed",
+                "The path exists, with other methods: the Allow header names them."),
+            Self::NotAcceptable => ("not_acceptable", S::NOT_ACCEPTABLE, "Not acceptable",
+                "The answer would be application/json, which the Accept header excludes."),
+            Self::UnsupportedMediaType => ("unsupported_media_type", S::UNSUPPORTED_MEDIA_TYPE, "Unsupported media type",
+                "A body is read as JSON when its Content-Type is absent, JSON, text/* or application/x-www-form-urlencoded; compressed bodies are not read."),
+            Self::BodyTooLarge => ("body_too_large", S::PAYLOAD_TOO_LARGE, "Body too large",
+                "Send it in parts, or raise --body-bytes-max."),
+            Self::BodyTimeout => ("body_timeout", S::REQUEST_TIMEOUT, "Body too slow",
+                "The body did not arrive in the time of --body-timeout-ms."),
+            Self::UnknownWorld => ("unknown_world", S::NOT_FOUND, "Unknown world",
+                "Create it with PUT /v1/worlds/{world}."),
+            Self::UnknownParticle => ("unknown_particle", S::NOT_FOUND, "Unknown particle",
+                "It was never created, or it was removed: ids are never used again."),
+            Self::MalformedJson => ("malformed_json", S::BAD_REQUEST, "Not JSON",
+                "The body is not JSON, or it is cut short."),
+            Self::RevisionMismatch => ("revision_mismatch", S::PRECONDITION_FAILED, "The world has changed",
+                "If-Match names a revision that is not the present one. Read the world again and decide anew."),
+            Self::WorldExists => ("world_exists", S::CONFLICT, "The world exists",
+                "Choose another name, or delete the world first."),
+            Self::InvalidWorldName => ("invalid_world_name", MEANING, "Invalid world name",
+                "A name is a letter or digit and then up to 63 letters, digits, _ or -."),
+            Self::InvalidField => ("invalid_field", MEANING, "Invalid value",
+                "The value at `pointer` has the wrong type, shape or range."),
+            Self::UnknownField => ("unknown_field", MEANING, "Unknown field",
+                "The field at `pointer` is not part of this request; unknown fields are refused, not ignored."),
+            Self::DuplicateField => ("duplicate_field", MEANING, "Duplicate field",
+                "An object names the same field twice."),
+            Self::MissingField => ("missing_field", MEANING, "Missing field",
+                "A field that this request needs is absent."),
+            Self::InvalidParameter => ("invalid_parameter", MEANING, "Invalid query parameter",
+                "A parameter after the ? is unknown here, repeated, or has a value it does not take."),
+            Self::NotFinite => ("not_finite", MEANING, "Not finite",
+                "A number, or what the command would make of it, is beyond the largest one of the precision of the world."),
+            Self::MassNotPositive => ("mass_not_positive", MEANING, "Mass not positive",
+                "A mass is above 0 kg. For a particle that nothing moves, set inverse_mass to 0."),
+            Self::InverseMassNegative => ("inverse_mass_negative", MEANING, "Inverse mass negative",
+                "An inverse mass is at least 0; 0 is an immovable particle."),
+            Self::MassAndInverseMass => ("mass_and_inverse_mass", MEANING, "Mass and inverse mass",
+                "Both say the same thing: give one of them."),
+            Self::DampingOutOfRange => ("damping_out_of_range", MEANING, "Damping out of range",
+                "Damping is the share of the velocity that is kept each second: between 0 and 1."),
+            Self::LengthMismatch => ("length_mismatch", MEANING, "Wrong number of values",
+                "A list has one value for each particle; a single value stands for all of them."),
+            Self::RemovedTwice => ("removed_twice", MEANING, "Removed twice",
+                "A list of particles to remove names one of them twice."),
+            Self::DurationNotPositive => ("duration_not_positive", MEANING, "Duration not positive",
+                "An advance goes forward in time by more than 0 seconds."),
+            Self::MaxStepNotPositive => ("max_step_not_positive", MEANING, "Longest step not positive",
+                "max_step is above 0 seconds; leave it out for a single step."),
+            Self::StepsNotPositive => ("steps_not_positive", MEANING, "No steps",
+                "An advance takes at least 1 step."),
+            Self::StepsAndMaxStep => ("steps_and_max_step", MEANING, "Steps and longest step",
+                "Both choose the number of steps: give one of them."),
+            Self::ClockOutOfRange => ("clock_out_of_range", MEANING, "Clock out of range",
+                "The clock of a world stays below 2^400 seconds."),
+            Self::IntegratorOwnsField => ("integrator_owns_field", MEANING, "The integrator owns this field",
+                "Position and velocity follow from the motion. POST …/impulse changes the velocity, POST …/place teleports."),
+            Self::IntegratorCannotServeDamping => ("integrator_cannot_serve_damping", MEANING, "Integrator and damping law do not go together",
+                "The damping law per_step belongs to newton_euler, newton_euler_quadratic and semi_implicit_euler."),
+            Self::ComputeBudget => ("compute_budget", MEANING, "Over the compute budget",
+                "One request may take so many steps, and so many steps x particles. Advance in several requests, or raise --steps-max or --particle-steps-max."),
+            Self::LimitReached => ("limit_reached", MEANING, "Limit reached",
+                "The service holds as many worlds, or the world as many particles, as it may. GET /v1 shows the limits."),
+            Self::Diverged => ("diverged", MEANING, "The advance would diverge",
+                "A number would become infinite, so nothing was changed. `particle`, `quantity` and `step` say where it happens first."),
+            Self::InternalError => ("internal_error", S::INTERNAL_SERVER_ERROR, "Internal error",
+                "A defect of the service. Its log has more under the x-request-id of the response."),
+            Self::WorldQuarantined => ("world_quarantined", S::INTERNAL_SERVER_ERROR, "World quarantined",
+                "A defect interrupted a change of this world, so its state is not to be trusted. Delete it; other worlds are not affected."),
+            Self::ShuttingDown => ("shutting_down", S::SERVICE_UNAVAILABLE, "Shutting down",
+                "The service finishes what it has begun and takes on nothing new."),
+        }
+    }
+}
+
+/// A refusal: what a client gets instead of what it asked for.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Problem {
+    pub(crate) code: Code,
+    /// One sentence that a person can act on.
+    pub(crate) detail: String,
+    /// JSON Pointer into the body of the request.
+    pub(crate) pointer: Option<String>,
+    diverged: Option<Divergence>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Divergence {
+    particle: u64,
+    quantity: &'static str,
+    step: u64,
+}
+
+/// Problem details (RFC 9457). `code` is stable; `detail` is for people.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = Problem, example = json!({
+    "type": "/problems/mass_not_positive", "title": "Mass not positive", "status": 422,
+    "detail": "mass must be above 0; an immovable particle has inverse_mass 0",
+    "code": "mass_not_positive", "pointer": "/mass"
+}))]
+pub(crate) struct ProblemBody<'a> {
+    /// A relative URL with an explanation.
+    r#type: String,
+    title: &'a str,
+    status: u16,
+    detail: &'a str,
+    code: &'a str,
+    /// JSON Pointer (RFC 6901) into the request body.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pointer: Option<&'a str>,
+    /// With `diverged`: the smallest id of a particle that would not stay finite.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    particle: Option<u64>,
+    /// With `diverged`: `position` or `velocity`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    quantity: Option<&'a str>,
+    /// With `diverged`: the first step, from 1, after which it is not finite.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    step: Option<u64>,
+}
+
+impl Problem {
+    pub(crate) fn new(code: Code, detail: impl Into<String>) -> Self {
+        Self { code, detail: detail.into(), pointer: None, diverged: None }
+    }
+
+    pub(crate) fn at(code: Code, pointer: impl Into<String>, detail: impl Into<String>) -> Self {
+        Self { pointer: Some(pointer.into()), ..Self::new(code, detail) }
+    }
+
+    /// The problem that its explanation already says in full.
+    pub(crate) fn plain(code: Code) -> Self {
+        Self::new(code, code.explanation())
+    }
+
+    /// What the engine refused, with pointers into a request of this shape.
+    pub(crate) fn from_engine(error: Error, shape: Shape) -> Self {
+        let detail = error.to_string();
+        let at = |code, place: Place| Self::at(code, shape.pointer(place), detail.clone());
+        let whole = |code, field: &str| Self::at(code, format!("/{field}"), detail.clone());
+        match error {
+            Error::NotFinite(place) | Error::MassTooSmall(place) => at(Code::NotFinite, place),
+            Error::Overflow { place, .. } => at(Code::NotFinite, place),
+            Error::MassNotPositive(place) => at(Code::MassNotPositive, place),
+            Error::InverseMassNegative(place) => at(Code::InverseMassNegative, place),
+            Error::DampingOutOfRange(place) => at(Code::DampingOutOfRange, place),
+            Error::LengthMismatch { field, .. } => whole(Code::LengthMismatch, field.name()),
+            Error::DurationNotPositive => whole(Code::DurationNotPositive, "duration"),
+            Error::MaxStepNotPositive => whole(Code::MaxStepNotPositive, "max_step"),
+            Error::StepsNotPositive => whole(Code::StepsNotPositive, "steps"),
+            Error::StepsAndMaxStep => whole(Code::StepsAndMaxStep, "max_step"),
+            Error::NothingToPlace => Self::new(Code::MissingField, detail),
+            Error::ClockOutOfRange => whole(Code::ClockOutOfRange, "duration"),
+            Error::IntegratorCannotServeDamping { .. } => Self::new(Code::IntegratorCannotServeDamping, detail),
+            Error::UnknownParticle { index, .. } => match shape {
+                Shape::Particle => Self::new(Code::UnknownParticle, detail),
+                Shape::Columns | Shape::List => Self::at(Code::UnknownParticle, format!("/ids/{index}"), detail),
+            },
+            Error::RemovedTwice { index, .. } => whole(Code::RemovedTwice, &format!("ids/{index}")),
+            Error::Diverged { particle, quantity, step } => Self {
+                diverged: Some(Divergence { particle: particle.0, quantity: quantity.name(), step }),
+                ..Self::new(Code::Diverged, detail)
+            },
+            Error::LimitReached { limit, .. } => {
+                let (code, flag) = match limit {
+                    Limit::Particles => (Code::LimitReached, config::PARTICLES_MAX),
+                    Limit::Steps => (Code::ComputeBudget, config::STEPS_MAX),
+                    Limit::ParticleSteps => (Code::ComputeBudget, config::PARTICLE_STEPS_MAX),
+                };
+                Self::new(code, format!("{detail} (--{flag})"))
+            }
+            Error::Cancelled => Self::plain(Code::ShuttingDown),
+        }
+    }
+}
+
+/// How a request names the values of particles, for pointers into it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Shape {
+    /// One particle, named in the path: `/mass`.
+    Particle,
+    /// Columns: `/mass` or `/mass/3`.
+    Columns,
+    /// A list of particles: `/3/mass`.
+    List,
+}
+
+impl Shape {
+    fn pointer(self, place: Place) -> String {
+        match (self, place.index) {
+            (Self::List, Some(index)) => format!("/{index}/{}", place.field),
+            (Self::Columns, Some(index)) => format!("/{}/{index}", place.field),
+            (Self::Particle, _) | (_, None) => format!("/{}", place.field),
+        }
+    }
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let status = self.code.status();
+        let mut body = serde_json::to_vec(&ProblemBody {
+            r#type: format!("/problems/{}", self.code.name()),
+            title: self.code.title(),
+            status: status.as_u16(),
+            detail: &self.detail,
+            code: self.code.name(),
+            pointer: self.pointer.as_deref(),
+            particle: self.diverged.map(|d| d.particle),
+            quantity: self.diverged.map(|d| d.quantity),
+            step: self.diverged.map(|d| d.step),
+        })
+        .expect("strings and whole numbers are always JSON");
+        body.push(b'\n');
+        let mut response = (status, [(header::CONTENT_TYPE, "application/problem+json")], body).into_response();
+        match self.code {
+            Code::Unauthorized => {
+                response.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+            }
+            Code::ShuttingDown => {
+                response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("1"));
+            }
+            _ => {}
+        }
+        response
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Code;
+
+    #[test]
+    fn names_are_distinct() {
+        let names: std::collections::HashSet<&str> = Code::ALL.iter().map(|code| code.name()).collect();
+        assert_eq!(names.len(), Code::ALL.len());
+    }
+}

@@ -1,0 +1,102 @@
+//! Forces and impulses.
+
+use std::sync::Arc;
+
+use axum::extract::State;
+use axum::response::Response;
+use serde::Deserialize;
+use serde_json::value::RawValue;
+use utoipa::ToSchema;
+use utoipa_axum::{router::OpenApiRouter, routes};
+
+use crate::column::Column;
+use crate::command::Command;
+use crate::ids::ParticleId;
+use crate::server::App;
+use crate::server::extract::Change;
+use crate::server::json::{self, Element, Object, Vector, WireReal, column};
+use crate::server::problem::Problem;
+use crate::server::routes::particles::apply_to_many;
+use crate::server::slot::{self, with_slot};
+use crate::server::wire::{Changed, ParticleView, VectorColumn, VectorSchema, selection};
+use crate::world::World;
+
+pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
+    OpenApiRouter::new().routes(routes!(add_force)).routes(routes!(apply_impulse)).routes(routes!(add_forces))
+}
+
+/// A force in newtons.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, bound = "")]
+#[schema(as = Force, bound = "", example = json!({"force": [0.0, 12.0, 0.0]}))]
+struct ForceBody<R: WireReal> {
+    #[schema(value_type = VectorSchema)]
+    force: Vector<R>,
+}
+
+/// An impulse in newton seconds.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, bound = "")]
+#[schema(as = Impulse, bound = "", example = json!({"impulse": [1.0, 0.0, 0.0]}))]
+struct ImpulseBody<R: WireReal> {
+    #[schema(value_type = VectorSchema)]
+    impulse: Vector<R>,
+}
+
+/// Forces for many particles: one vector for all of the ids, or a list with one for each.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(as = Forces, example = json!({"ids": [0, 2], "force": [[1.0, 0.0, 0.0], [0.0, 2.0, 0.0]]}))]
+struct ForcesBody<'a> {
+    ids: Vec<u64>,
+    /// In newtons.
+    #[serde(borrow)]
+    #[schema(value_type = VectorColumn)]
+    force: &'a RawValue,
+}
+
+/// Adds a force
+///
+/// To the accumulator of the particle: the sum acts through the whole next advance and is then cleared.
+#[utoipa::path(post, path = "/v1/worlds/{world}/particles/{id}/force", tag = "forces", request_body = ForceBody<f64>,
+    responses((status = 200, body = ParticleView<f64>, headers(("etag" = String)))))]
+async fn add_force(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+    fn read<R: WireReal>(body: &[u8], id: ParticleId) -> Result<Command<R>, Problem> {
+        let Object(ForceBody { force }) = json::parse::<Object<ForceBody<R>>>(body)?;
+        Ok(Command::AddForce { ids: id.into(), force: Column::Uniform(force.value()) })
+    }
+    let any = app.slot(&change.target)?;
+    with_slot!(any, slot => change.apply_to_one(&slot, read).await)
+}
+
+/// Applies an impulse
+///
+/// Changes the velocity at once, by impulse x inverse_mass.
+#[utoipa::path(post, path = "/v1/worlds/{world}/particles/{id}/impulse", tag = "forces", request_body = ImpulseBody<f64>,
+    responses((status = 200, body = ParticleView<f64>, headers(("etag" = String)))))]
+async fn apply_impulse(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+    fn read<R: WireReal>(body: &[u8], id: ParticleId) -> Result<Command<R>, Problem> {
+        let Object(ImpulseBody { impulse }) = json::parse::<Object<ImpulseBody<R>>>(body)?;
+        Ok(Command::Impulse { ids: id.into(), impulse: Column::Uniform(impulse.value()) })
+    }
+    let any = app.slot(&change.target)?;
+    with_slot!(any, slot => change.apply_to_one(&slot, read).await)
+}
+
+/// Adds forces to many particles
+///
+/// An id that is named twice gets both. All or none.
+#[utoipa::path(post, path = "/v1/worlds/{world}/forces", tag = "forces", request_body = ForcesBody,
+    responses((status = 200, body = Changed, headers(("etag" = String)))))]
+async fn add_forces(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+    fn read<R: WireReal>(body: &[u8]) -> Result<Command<R>, Problem> {
+        let Object(ForcesBody { ids, force }) = json::parse(body)?;
+        Ok(Command::AddForce { ids: selection(ids), force: column::<Vector<R>>(force.get(), "force")? })
+    }
+    let any = app.slot(&change.target)?;
+    with_slot!(any, slot => {
+        let parsed = slot::parse(change.body.clone(), read).await;
+        let work = |world: &World<_>, _: &_| world.particle_count() as u64;
+        change.apply(&slot, parsed, work, |world, command, _| apply_to_many(world, &command)).await
+    })
+}

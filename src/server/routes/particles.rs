@@ -1,0 +1,369 @@
+//! `/v1/worlds/{world}/particles` and the state of all of them in columns.
+
+use std::sync::Arc;
+
+use axum::extract::State;
+use axum::response::Response;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+use utoipa_axum::{router::OpenApiRouter, routes};
+
+use crate::column::Column;
+use crate::command::{Command, NewParticles, Outcome};
+use crate::ids::ParticleId;
+use crate::server::App;
+use crate::server::extract::{Change, NoParameters, Read};
+use crate::server::json::{self, Object, Vector, WireReal, present};
+use crate::server::problem::{Code, Problem, Shape};
+use crate::server::routes::worlds::page_limit;
+use crate::server::slot::{self, Reply, with_slot};
+use crate::server::wire::{
+    self, Changed, ColumnsBody, Created, ParticleBody, ParticleView, Property, SetManyBody, SetOneBody, VectorSchema,
+    properties,
+};
+use crate::world::World;
+
+pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
+    OpenApiRouter::new()
+        .routes(routes!(create_particles, list_particles, set_particles))
+        .routes(routes!(read_particle, set_particle, remove_particle))
+        .routes(routes!(set_mass))
+        .routes(routes!(place_particle))
+        .routes(routes!(read_state))
+}
+
+/// One particle, a list of them, or columns with a `count`.
+#[derive(ToSchema)]
+#[schema(as = NewParticles)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "stands for the body in the description")]
+enum CreateBody<'a> {
+    One(ParticleBody<f64>),
+    List(Vec<ParticleBody<f64>>),
+    Columns(ColumnsBody<'a>),
+}
+
+/// The particle, or the ids of several.
+#[derive(ToSchema)]
+#[schema(as = CreatedParticles)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "stands for the answer in the description")]
+enum CreateAnswer {
+    One(ParticleView<f64>),
+    Many(Created),
+}
+
+/// Exactly one of the two.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, bound = "")]
+#[schema(as = Mass, bound = "", example = json!({"mass": 2.0}))]
+struct MassBody<R: WireReal> {
+    /// In kg, above 0.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<f64>, nullable = false, exclusive_minimum = 0)]
+    mass: Option<R>,
+    /// In 1/kg, at least 0; 0 is immovable.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<f64>, nullable = false, minimum = 0)]
+    inverse_mass: Option<R>,
+}
+
+/// A teleport: position, velocity or both.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, bound = "")]
+#[schema(as = Place, bound = "", example = json!({"position": [0.0, 10.0, 0.0], "velocity": [0.0, 0.0, 0.0]}))]
+struct PlaceBody<R: WireReal> {
+    /// In metres; absent: it stays.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<VectorSchema>, nullable = false)]
+    position: Option<Vector<R>>,
+    /// In m/s; absent: it stays.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<VectorSchema>, nullable = false)]
+    velocity: Option<Vector<R>>,
+}
+
+/// Particles in ascending order of id.
+#[derive(Debug, Serialize, ToSchema)]
+#[serde(bound = "")]
+#[schema(as = Particles, bound = "")]
+struct Particles<R: WireReal> {
+    /// The clock in seconds.
+    time: f64,
+    #[schema(value_type = Vec<ParticleView<f64>>)]
+    particles: Vec<ParticleView<R>>,
+    /// The `after` of the next page; null on the last one.
+    #[schema(required)]
+    next_after: Option<u64>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ListQuery {
+    ids: Option<String>,
+    fields: Option<String>,
+    limit: Option<usize>,
+    after: Option<u64>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StateQuery {
+    fields: Option<String>,
+}
+
+/// Creates particles
+///
+/// One particle: the answer is the particle, with its path in `Location`. A list of particles, or columns (an object
+/// with `count`): the answer has the first id and the count. All or none.
+#[utoipa::path(post, path = "/v1/worlds/{world}/particles", tag = "particles", request_body = CreateBody,
+    responses((status = 201, body = CreateAnswer, headers(("location" = String), ("etag" = String)))))]
+async fn create_particles(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+    let any = app.slot(&change.target)?;
+    let name = change.target.world.clone();
+    with_slot!(any, slot => {
+        let parsed = slot::parse(change.body.clone(), read_new).await;
+        let work = |_: &World<_>, new: &New<_>| new.particles.count as u64;
+        change.apply(&slot, parsed, work, move |world, new, _| {
+            let created = world.apply(&Command::Create(new.particles));
+            let Outcome::Created { first, count } = created.map_err(|error| Problem::from_engine(error, new.shape))? else {
+                unreachable!("a creation answers with what it created")
+            };
+            if new.shape == Shape::Particle {
+                let location = format!("/v1/worlds/{name}/particles/{first}");
+                Ok(Reply::created(Some(location), whole(world, first)?.body))
+            } else {
+                Ok(Reply::created(None, json::write(&Created { first_id: first.0, count })))
+            }
+        }).await
+    })
+}
+
+/// Particles to create, and how the request said it.
+struct New<R: WireReal> {
+    particles: NewParticles<R>,
+    shape: Shape,
+}
+
+fn read_new<R: WireReal>(body: &[u8]) -> Result<New<R>, Problem> {
+    if body.trim_ascii_start().starts_with(b"[") {
+        let particles = ParticleBody::list(json::parse(body)?)?;
+        return Ok(New { particles, shape: Shape::List });
+    }
+    // Without a count the columns are those of one particle, which takes no lists: read again as such.
+    let columns = json::parse::<Object<ColumnsBody<'_>>>(body);
+    if let Ok(Object(ColumnsBody { count: None, .. })) = columns {
+        let Object(one) = json::parse::<Object<ParticleBody<R>>>(body)?;
+        return Ok(New { particles: one.one()?, shape: Shape::Particle });
+    }
+    let Object(columns) = columns?;
+    let count = columns.count.unwrap_or_default();
+    Ok(New { particles: columns.particles(count)?, shape: Shape::Columns })
+}
+
+/// The answer with one particle.
+pub(crate) fn whole<R: WireReal>(world: &World<R>, id: ParticleId) -> Result<Reply, Problem> {
+    let state = world.particle(id).map_err(|error| Problem::from_engine(error, Shape::Particle))?;
+    Ok(Reply::ok(json::write(&ParticleView::whole(&state))))
+}
+
+/// Applies a command to the particle of the path; the answer is the particle.
+pub(crate) fn apply_to_one<R: WireReal>(
+    world: &mut World<R>,
+    id: ParticleId,
+    command: &Command<R>,
+) -> Result<Reply, Problem> {
+    world.apply(command).map_err(|error| Problem::from_engine(error, Shape::Particle))?;
+    whole(world, id)
+}
+
+/// Applies a command to many particles; the answer counts them.
+pub(crate) fn apply_to_many<R: WireReal>(world: &mut World<R>, command: &Command<R>) -> Result<Reply, Problem> {
+    let outcome = world.apply(command).map_err(|error| Problem::from_engine(error, Shape::Columns))?;
+    let Outcome::Changed { count } = outcome else { unreachable!("properties and forces answer with a count") };
+    Ok(Reply::ok(json::write(&Changed { count, revision: world.revision() })))
+}
+
+/// Lists particles
+///
+/// In ascending order of id.
+#[utoipa::path(get, path = "/v1/worlds/{world}/particles", tag = "particles",
+    params(
+        ("ids" = Option<String>, Query, description = "only these, separated by commas", example = "0,2"),
+        ("fields" = Option<String>, Query, description = "only these properties besides the id, separated by commas", example = "position,velocity"),
+        ("limit" = Option<usize>, Query, description = "at most so many; default 1000, at most 100000", minimum = 1, maximum = 100_000),
+        ("after" = Option<u64>, Query, description = "from the first id after this one"),
+    ),
+    responses((status = 200, body = Particles<f64>, headers(("etag" = String)))))]
+async fn list_particles(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
+    let any = app.slot(&read.target)?;
+    let query = read.query::<ListQuery>().and_then(List::try_from);
+    let work = |list: &List, count: usize| 16 * list.limit.min(count) as u64;
+    with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query,
+        |world, list| work(list, world.particle_count()),
+        |world, list| list.of(world)).await)
+}
+
+struct List {
+    ids: Option<Vec<u64>>,
+    properties: Vec<Property>,
+    limit: usize,
+    after: Option<u64>,
+}
+
+impl TryFrom<ListQuery> for List {
+    type Error = Problem;
+    fn try_from(query: ListQuery) -> Result<Self, Problem> {
+        let ids = query.ids.map(|ids| ids.split(',').map(str::parse).collect::<Result<Vec<u64>, _>>());
+        let mut ids = ids
+            .transpose()
+            .map_err(|_| Problem::new(Code::InvalidParameter, "ids is a list of whole numbers, separated by commas"))?;
+        if let Some(ids) = &mut ids {
+            ids.sort_unstable();
+            ids.dedup();
+        }
+        Ok(Self {
+            ids,
+            properties: query.fields.map_or_else(|| Ok(all()), |fields| properties(&fields))?,
+            limit: page_limit(query.limit)?,
+            after: query.after,
+        })
+    }
+}
+
+fn all() -> Vec<Property> {
+    <Property as json::Choice>::ALL.to_vec()
+}
+
+impl List {
+    fn of<R: WireReal>(self, world: &World<R>) -> Result<Vec<u8>, Problem> {
+        let first = match self.after {
+            None => Some(0),
+            Some(after) => after.checked_add(1),
+        };
+        let mut particles = Vec::new();
+        let mut more = false;
+        let mut push = |state| {
+            more = particles.len() == self.limit;
+            if !more {
+                particles.push((ParticleView::new(&state, &self.properties), state.id.0));
+            }
+            more
+        };
+        if let Some(ids) = &self.ids {
+            let missing = ids.iter().find(|&&id| !world.contains(ParticleId(id)));
+            if let Some(id) = missing {
+                return Err(Problem::new(Code::UnknownParticle, format!("there is no particle {id} in this world")));
+            }
+            for &id in ids.iter().filter(|&&id| first.is_some_and(|first| id >= first)) {
+                if push(world.particle(ParticleId(id)).map_err(|error| Problem::from_engine(error, Shape::Particle))?) {
+                    break;
+                }
+            }
+        } else if let Some(first) = first {
+            let _full = world.particles_from(ParticleId(first)).any(push);
+        }
+        let next_after = particles.last().filter(|_| more).map(|(_, id)| *id);
+        let particles = particles.into_iter().map(|(view, _)| view).collect();
+        Ok(json::write(&Particles { time: world.time(), particles, next_after }))
+    }
+}
+
+/// Sets properties of many particles
+///
+/// One value for all, or a list with one for each. All or none.
+#[utoipa::path(patch, path = "/v1/worlds/{world}/particles", tag = "particles", request_body = SetManyBody,
+    responses((status = 200, body = Changed, headers(("etag" = String)))))]
+async fn set_particles(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+    fn read<R: WireReal>(body: &[u8]) -> Result<Command<R>, Problem> {
+        json::parse::<Object<SetManyBody<'_>>>(body)?.0.command()
+    }
+    let any = app.slot(&change.target)?;
+    with_slot!(any, slot => {
+        let parsed = slot::parse(change.body.clone(), read).await;
+        let work = |world: &World<_>, _: &_| world.particle_count() as u64;
+        change.apply(&slot, parsed, work, |world, command, _| apply_to_many(world, &command)).await
+    })
+}
+
+/// Reads a particle
+#[utoipa::path(get, path = "/v1/worlds/{world}/particles/{id}", tag = "particles",
+    responses((status = 200, body = ParticleView<f64>, headers(("etag" = String)))))]
+async fn read_particle(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
+    let any = app.slot(&read.target)?;
+    let query = read.query::<NoParameters>().and_then(|_| read.target.particle());
+    with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query, |_, _| 0, |world, id| {
+        Ok(whole(world, id)?.body)
+    }).await)
+}
+
+/// Sets properties of a particle
+///
+/// Position and velocity belong to the integrator: see `impulse` and `place`.
+#[utoipa::path(patch, path = "/v1/worlds/{world}/particles/{id}", tag = "particles", request_body = SetOneBody<f64>,
+    responses((status = 200, body = ParticleView<f64>, headers(("etag" = String)))))]
+async fn set_particle(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+    fn read<R: WireReal>(body: &[u8], id: ParticleId) -> Result<Command<R>, Problem> {
+        json::parse::<Object<SetOneBody<R>>>(body)?.0.command(id)
+    }
+    let any = app.slot(&change.target)?;
+    with_slot!(any, slot => change.apply_to_one(&slot, read).await)
+}
+
+/// Removes a particle
+///
+/// Its id is never used again.
+#[utoipa::path(delete, path = "/v1/worlds/{world}/particles/{id}", tag = "particles",
+    responses((status = 204, headers(("etag" = String)))))]
+async fn remove_particle(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+    let any = app.slot(&change.target)?;
+    with_slot!(any, slot => {
+        let command = change.target.particle().map(|id| Command::Remove { ids: id.into() });
+        change.apply(&slot, command, |_, _| 0, |world, command, _| {
+            world.apply(&command).map_err(|error| Problem::from_engine(error, Shape::Particle))?;
+            Ok(Reply::no_content())
+        }).await
+    })
+}
+
+/// Sets the mass or the inverse mass
+#[utoipa::path(put, path = "/v1/worlds/{world}/particles/{id}/mass", tag = "particles", request_body = MassBody<f64>,
+    responses((status = 200, body = ParticleView<f64>, headers(("etag" = String)))))]
+async fn set_mass(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+    fn read<R: WireReal>(body: &[u8], id: ParticleId) -> Result<Command<R>, Problem> {
+        let Object(MassBody { mass, inverse_mass }) = json::parse(body)?;
+        let mass = wire::mass(mass, inverse_mass, "")?
+            .ok_or_else(|| Problem::new(Code::MissingField, "give mass or inverse_mass"))?;
+        Ok(Command::Set { ids: id.into(), acceleration: None, damping: None, mass: Some(Column::Uniform(mass)) })
+    }
+    let any = app.slot(&change.target)?;
+    with_slot!(any, slot => change.apply_to_one(&slot, read).await)
+}
+
+/// Teleports a particle
+#[utoipa::path(post, path = "/v1/worlds/{world}/particles/{id}/place", tag = "particles", request_body = PlaceBody<f64>,
+    responses((status = 200, body = ParticleView<f64>, headers(("etag" = String)))))]
+async fn place_particle(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+    fn read<R: WireReal>(body: &[u8], id: ParticleId) -> Result<Command<R>, Problem> {
+        let Object(PlaceBody { position, velocity }) = json::parse::<Object<PlaceBody<R>>>(body)?;
+        let column = |vector: Option<Vector<R>>| vector.map(|Vector(v)| Column::Uniform(v.into()));
+        Ok(Command::Place { ids: id.into(), position: column(position), velocity: column(velocity) })
+    }
+    let any = app.slot(&change.target)?;
+    with_slot!(any, slot => change.apply_to_one(&slot, read).await)
+}
+
+/// Reads all particles as columns
+#[utoipa::path(get, path = "/v1/worlds/{world}/state", tag = "particles",
+    params(("fields" = Option<String>, Query, description = "which columns besides the id; default position,velocity", example = "position,velocity")),
+    responses((status = 200, body = wire::State<f64>, headers(("etag" = String)))))]
+async fn read_state(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
+    let any = app.slot(&read.target)?;
+    let query = read.query::<StateQuery>().and_then(|query| match query.fields {
+        None => Ok(vec![Property::Position, Property::Velocity]),
+        Some(fields) => properties(&fields),
+    });
+    with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query,
+        |world, properties| (3 * properties.len() * world.particle_count()) as u64,
+        |world, properties| Ok(json::write(&wire::State::of(world, &properties)))).await)
+}

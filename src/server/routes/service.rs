@@ -1,0 +1,139 @@
+//! The service itself: health, metrics, its description.
+
+use std::sync::Arc;
+
+use std::sync::atomic::Ordering;
+
+use axum::extract::{Path, State};
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use utoipa::ToSchema;
+use utoipa_axum::{router::OpenApiRouter, routes};
+
+use crate::command::gravity;
+use crate::integrator::{DampingLaw, Integrator};
+use crate::real::Precision;
+use crate::server::App;
+use crate::server::config::PAGE_MAX;
+use crate::server::extract::{NoParameters, Read};
+use crate::server::json;
+use crate::server::problem::{Code, Problem};
+use crate::server::slot::Reply;
+
+pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
+    OpenApiRouter::new()
+        .routes(routes!(describe_service))
+        .routes(routes!(healthz))
+        .routes(routes!(readyz))
+        .routes(routes!(metrics))
+        .routes(routes!(openapi))
+        .routes(routes!(explain_problem))
+}
+
+/// What this service is and may.
+#[derive(Debug, Serialize, ToSchema)]
+struct Service {
+    name: &'static str,
+    version: &'static str,
+    integrators: Vec<&'static str>,
+    damping_laws: Vec<&'static str>,
+    precisions: Vec<&'static str>,
+    gravities: Vec<&'static str>,
+    limits: ServiceLimits,
+    /// Optional parts that are switched on.
+    features: Vec<&'static str>,
+}
+
+/// Limits in force; each is a flag of the command line.
+#[derive(Debug, Serialize, ToSchema)]
+struct ServiceLimits {
+    worlds_max: usize,
+    particles_max: u64,
+    steps_max: u64,
+    particle_steps_max: u64,
+    body_bytes_max: usize,
+    page_max: usize,
+    connections_max: usize,
+    header_timeout_ms: u64,
+    body_timeout_ms: u64,
+    drain_timeout_ms: u64,
+}
+
+/// Whether it works.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"status": "ok"}))]
+struct Health {
+    /// `ok`, or `ready`.
+    status: &'static str,
+}
+
+/// Describes the service
+#[utoipa::path(get, path = "/v1", tag = "service", responses((status = 200, body = Service)))]
+async fn describe_service(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
+    read.query::<NoParameters>()?;
+    let config = &app.config;
+    let mut features = Vec::new();
+    features.extend(app.tokens.is_some().then_some("tokens"));
+    features.extend((!config.allow_origin.is_empty()).then_some("cors"));
+    let service = Service {
+        name: env!("CARGO_PKG_NAME"),
+        version: env!("CARGO_PKG_VERSION"),
+        integrators: Integrator::ALL.map(Integrator::name).to_vec(),
+        damping_laws: DampingLaw::ALL.map(DampingLaw::name).to_vec(),
+        precisions: Precision::ALL.map(Precision::name).to_vec(),
+        gravities: gravity::PRESETS.map(|(name, _)| name).to_vec(),
+        limits: ServiceLimits {
+            worlds_max: config.worlds_max,
+            particles_max: config.particles_max,
+            steps_max: config.steps_max,
+            particle_steps_max: config.particle_steps_max,
+            body_bytes_max: config.body_bytes_max,
+            page_max: PAGE_MAX,
+            connections_max: config.connections_max,
+            header_timeout_ms: config.header_timeout_ms,
+            body_timeout_ms: config.body_timeout_ms,
+            drain_timeout_ms: config.drain_timeout_ms,
+        },
+        features,
+    };
+    Ok(Reply::ok(json::write(&service)).into_response(None))
+}
+
+/// Whether the process is alive
+#[utoipa::path(get, path = "/healthz", tag = "service", responses((status = 200, body = Health)))]
+async fn healthz() -> Response {
+    Reply::ok(json::write(&Health { status: "ok" })).into_response(None)
+}
+
+/// Whether it takes on work
+#[utoipa::path(get, path = "/readyz", tag = "service", responses((status = 200, body = Health)))]
+async fn readyz(State(app): State<Arc<App>>) -> Result<Response, Problem> {
+    if app.draining.load(Ordering::Relaxed) {
+        return Err(Problem::plain(Code::ShuttingDown));
+    }
+    Ok(Reply::ok(json::write(&Health { status: "ready" })).into_response(None))
+}
+
+/// Counters as OpenMetrics text
+#[utoipa::path(get, path = "/metrics", tag = "service",
+    responses((status = 200, body = String, content_type = "application/openmetrics-text")))]
+async fn metrics(State(app): State<Arc<App>>) -> Response {
+    let content_type = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+    ([(header::CONTENT_TYPE, content_type)], app.metrics.text(app.worlds.len())).into_response()
+}
+
+/// This description
+#[utoipa::path(get, path = "/openapi.json", tag = "service", responses((status = 200, body = serde_json::Value)))]
+async fn openapi(State(app): State<Arc<App>>) -> Response {
+    ([(header::CONTENT_TYPE, "application/json")], app.openapi.clone()).into_response()
+}
+
+/// Explains the code of a problem
+#[utoipa::path(get, path = "/problems/{code}", tag = "service", params(("code" = String, Path, example = "diverged")),
+    responses((status = 200, body = String, content_type = "text/plain")))]
+async fn explain_problem(Path(name): Path<String>) -> Result<String, Problem> {
+    let code =
+        Code::ALL.into_iter().find(|code| code.name() == name).ok_or_else(|| Problem::plain(Code::UnknownRoute))?;
+    Ok(format!("{} ({})\n\n{}\n", code.title(), code.status(), code.explanation()))
+}

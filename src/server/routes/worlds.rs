@@ -1,0 +1,285 @@
+//! `/v1/worlds`: create, describe, configure, delete.
+
+use std::collections::hash_map::RandomState;
+use std::hash::{BuildHasher, Hasher};
+use std::sync::Arc;
+
+use axum::extract::State;
+use axum::response::Response;
+use serde::{Deserialize, Serialize};
+use serde_json::value::RawValue;
+use utoipa::ToSchema;
+use utoipa_axum::{router::OpenApiRouter, routes};
+
+use crate::command::{Command, Configure, Settings, gravity};
+use crate::integrator::{DampingLaw, Integrator};
+use crate::real::Precision;
+use crate::registry::Refused;
+use crate::server::App;
+use crate::server::config::{PAGE_DEFAULT, PAGE_MAX, WORLDS_MAX};
+use crate::server::extract::{Change, NoParameters, Read};
+use crate::server::json::{self, Element, Named, Object, Vector, WireReal, parse_part, present};
+use crate::server::problem::{Code, Problem, Shape};
+use crate::server::slot::{AnySlot, Reply, Slot, with_slot};
+use crate::server::wire::{Description, VectorSchema};
+use crate::world::World;
+
+pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
+    OpenApiRouter::new().routes(routes!(list_worlds, create_named_by_service)).routes(routes!(
+        describe_world,
+        create_world,
+        configure_world,
+        delete_world
+    ))
+}
+
+/// Settings of a world; every field is optional.
+#[derive(Debug, Default, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(as = NewWorld, example = json!({"gravity": "standard", "integrator": "newton_euler", "max_step": 0.01}))]
+struct CreateWorld<'a> {
+    /// `double` (default) or `single`; cannot be changed later.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<String>, nullable = false)]
+    precision: Option<Named<Precision>>,
+    /// `exact` (default), `newton_euler`, `newton_euler_quadratic` or `semi_implicit_euler`.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<String>, nullable = false)]
+    integrator: Option<Named<Integrator>>,
+    /// In m/s², or one of the presets `standard`, `textbook`, `shooter`, `driving`. Default 0.
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<Gravity>, nullable = false)]
+    gravity: Option<&'a RawValue>,
+    /// `per_second` (default) or `per_step`.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<String>, nullable = false)]
+    damping_law: Option<Named<DampingLaw>>,
+    /// The longest step, in seconds, of an advance that names no steps. Default null: one step.
+    #[serde(default)]
+    max_step: Option<f64>,
+}
+
+/// New settings; an absent field stays.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(as = ConfigureWorld, example = json!({"gravity": [0.0, -1.62, 0.0], "max_step": null}))]
+struct ConfigureWorld<'a> {
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<String>, nullable = false)]
+    integrator: Option<Named<Integrator>>,
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<Gravity>, nullable = false)]
+    gravity: Option<&'a RawValue>,
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<String>, nullable = false)]
+    damping_law: Option<Named<DampingLaw>>,
+    /// null: none.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<f64>)]
+    #[expect(clippy::option_option, reason = "absent, null and a number are three things")]
+    max_step: Option<Option<f64>>,
+}
+
+/// A gravity: a vector in m/s², or the name of a preset.
+#[derive(ToSchema)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "stands for the field in the description")]
+enum Gravity {
+    Vector(VectorSchema),
+    Preset(String),
+}
+
+/// Worlds in order of name.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = Worlds)]
+struct Worlds {
+    #[schema(value_type = Vec<Description<f64>>)]
+    worlds: Vec<AnyDescription>,
+    /// The `after` of the next page; null on the last one.
+    #[schema(required)]
+    next_after: Option<String>,
+}
+
+#[derive(Debug, Serialize)]
+#[serde(untagged)]
+enum AnyDescription {
+    Single(Description<f32>),
+    Double(Description<f64>),
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ListQuery {
+    limit: Option<usize>,
+    after: Option<String>,
+}
+
+/// Lists worlds
+///
+/// In order of name.
+#[utoipa::path(get, path = "/v1/worlds", tag = "worlds",
+    params(
+        ("limit" = Option<usize>, Query, description = "at most so many; default 1000, at most 100000", minimum = 1, maximum = 100_000),
+        ("after" = Option<String>, Query, description = "from the first name after this one"),
+    ),
+    responses((status = 200, body = Worlds)))]
+async fn list_worlds(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
+    let ListQuery { limit, after } = read.query()?;
+    let limit = page_limit(limit)?;
+    let mut found = app.worlds.list(after.as_deref(), limit + 1);
+    let more = found.len() > limit;
+    found.truncate(limit);
+    let next_after = found.last().filter(|_| more).map(|(name, _)| name.clone());
+    let worlds = found.into_iter().map(|(_, slot)| match slot {
+        AnySlot::Single(slot) => AnyDescription::Single(slot.description()),
+        AnySlot::Double(slot) => AnyDescription::Double(slot.description()),
+    });
+    Ok(Reply::ok(json::write(&Worlds { worlds: worlds.collect(), next_after })).into_response(None))
+}
+
+/// The `limit` of a list.
+pub(crate) fn page_limit(limit: Option<usize>) -> Result<usize, Problem> {
+    match limit {
+        None => Ok(PAGE_DEFAULT),
+        Some(limit) if (1..=PAGE_MAX).contains(&limit) => Ok(limit),
+        Some(_) => Err(Problem::new(Code::InvalidParameter, format!("limit is a number from 1 to {PAGE_MAX}"))),
+    }
+}
+
+/// Creates a world with a name that the service makes
+#[utoipa::path(post, path = "/v1/worlds", tag = "worlds", request_body = CreateWorld,
+    responses((status = 201, body = Description<f64>, headers(("location" = String), ("etag" = String)))))]
+async fn create_named_by_service(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+    // A random name: after a restart it does not lead to a world of somebody else.
+    let name = format!("w{:016x}", RandomState::new().build_hasher().finish());
+    create(&app, &name, &change)
+}
+
+/// Creates a world
+///
+/// The name is a letter or digit and up to 63 letters, digits, `_` or `-`. An empty body takes all defaults.
+#[utoipa::path(put, path = "/v1/worlds/{world}", tag = "worlds", request_body = CreateWorld,
+    responses((status = 201, body = Description<f64>, headers(("location" = String), ("etag" = String)))))]
+async fn create_world(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+    create(&app, &change.target.world, &change)
+}
+
+fn create(app: &App, name: &str, change: &Change) -> Result<Response, Problem> {
+    let body = if change.body.is_empty() { b"{}" } else { change.body.as_ref() };
+    let parsed = json::parse::<Object<CreateWorld<'_>>>(body);
+    if let Err(problem) = &parsed
+        && problem.code == Code::MalformedJson
+    {
+        return Err(problem.clone());
+    }
+    let exists = app.worlds.get(name).is_some();
+    if exists {
+        return Err(world_exists(name));
+    }
+    change.preconditions.check_absent()?;
+    let Object(body) = parsed?;
+    change.query::<NoParameters>()?;
+    if !is_world_name(name) {
+        let detail = format!("{name:?} is not a name: a letter or digit and then up to 63 letters, digits, _ or -");
+        return Err(Problem::new(Code::InvalidWorldName, detail));
+    }
+    match body.precision.map_or(Precision::default(), |Named(precision)| precision) {
+        Precision::Single => insert(app, name, &body, AnySlot::Single),
+        Precision::Double => insert(app, name, &body, AnySlot::Double),
+    }
+}
+
+fn insert<R: WireReal>(
+    app: &App,
+    name: &str,
+    body: &CreateWorld<'_>,
+    any: impl FnOnce(Arc<Slot<R>>) -> AnySlot,
+) -> Result<Response, Problem> {
+    let default = Settings::<R>::default();
+    let settings = Settings {
+        integrator: body.integrator.map_or(default.integrator, |Named(integrator)| integrator),
+        gravity: body.gravity.map(read_gravity::<R>).transpose()?.unwrap_or(default.gravity),
+        damping_law: body.damping_law.map_or(default.damping_law, |Named(law)| law),
+        max_step: body.max_step,
+    };
+    let world = World::with_limits(settings, app.config.limits())
+        .map_err(|error| Problem::from_engine(error, Shape::Columns))?;
+    let answer = json::write(&Description::new(name, &world));
+    app.worlds.insert(name, any(Arc::new(Slot::new(name, world)))).map_err(|refused| match refused {
+        Refused::Exists => world_exists(name),
+        Refused::Full => {
+            let detail = format!("there are {} worlds, the most allowed (--{WORLDS_MAX})", app.config.worlds_max);
+            Problem::new(Code::LimitReached, detail)
+        }
+    })?;
+    Ok(Reply::created(Some(format!("/v1/worlds/{name}")), answer).into_response(Some(0)))
+}
+
+fn world_exists(name: &str) -> Problem {
+    Problem::new(Code::WorldExists, format!("there is a world {name:?} already"))
+}
+
+fn is_world_name(name: &str) -> bool {
+    let mut bytes = name.bytes();
+    name.len() <= 64
+        && bytes.next().is_some_and(|first| first.is_ascii_alphanumeric())
+        && bytes.all(|byte| byte.is_ascii_alphanumeric() || byte == b'_' || byte == b'-')
+}
+
+fn read_gravity<R: WireReal>(raw: &RawValue) -> Result<R::Vec3, Problem> {
+    if !raw.get().starts_with('"') {
+        return parse_part::<Vector<R>>(raw.get(), "/gravity").map(Element::value);
+    }
+    let name: String = parse_part(raw.get(), "/gravity")?;
+    gravity::preset::<R>(&name).ok_or_else(|| {
+        let names: Vec<&str> = gravity::PRESETS.iter().map(|(name, _)| *name).collect();
+        let detail = format!("there is no gravity {name:?}; take a vector or one of {}", names.join(", "));
+        Problem::at(Code::InvalidField, "/gravity", detail)
+    })
+}
+
+/// Describes a world
+#[utoipa::path(get, path = "/v1/worlds/{world}", tag = "worlds",
+    responses((status = 200, body = Description<f64>, headers(("etag" = String)))))]
+async fn describe_world(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
+    let any = app.slot(&read.target)?;
+    let query = read.query::<NoParameters>();
+    let name = read.target.world.clone();
+    with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query, |_, _| 0, move |world, _| {
+        Ok(json::write(&Description::new(&name, world)))
+    }).await)
+}
+
+/// Changes settings of a world
+#[utoipa::path(patch, path = "/v1/worlds/{world}", tag = "worlds", request_body = ConfigureWorld,
+    responses((status = 200, body = Description<f64>, headers(("etag" = String)))))]
+async fn configure_world(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+    fn read<R: WireReal>(body: &[u8]) -> Result<Configure<R>, Problem> {
+        let Object(body) = json::parse::<Object<ConfigureWorld<'_>>>(body)?;
+        Ok(Configure {
+            integrator: body.integrator.map(|Named(integrator)| integrator),
+            gravity: body.gravity.map(read_gravity::<R>).transpose()?,
+            damping_law: body.damping_law.map(|Named(law)| law),
+            max_step: body.max_step,
+        })
+    }
+    let any = app.slot(&change.target)?;
+    let name = change.target.world.clone();
+    with_slot!(any, slot => {
+        let parsed = read(&change.body);
+        let work = |world: &World<_>, _: &_| world.particle_count() as u64;
+        change.apply(&slot, parsed, work, move |world, configure, _| {
+            world.apply(&Command::Configure(configure)).map_err(|error| Problem::from_engine(error, Shape::Columns))?;
+            Ok(Reply::ok(json::write(&Description::new(&name, world))))
+        }).await
+    })
+}
+
+/// Deletes a world
+#[utoipa::path(delete, path = "/v1/worlds/{world}", tag = "worlds", responses((status = 204)))]
+async fn delete_world(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+    let any = app.slot(&change.target)?;
+    let query = change.query::<NoParameters>().map(|_| ());
+    let forget = || app.worlds.remove(&change.target.world);
+    with_slot!(any, slot => slot.remove(&change.target, &change.preconditions, query, forget).await)
+}

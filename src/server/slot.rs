@@ -1,0 +1,288 @@
+//! One world in the service: who may touch it, when, and on which thread.
+//!
+//! A world is behind an asynchronous lock that serves in the order of asking. Whoever gets it does one whole operation:
+//! at once when it is short, on a thread of the compute pool when it is long, to which the lock moves along. So a task
+//! never waits while it holds a world, a long advance takes no thread that answers requests, each world has at most one
+//! job in the pool, and requests for other worlds do not notice.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use axum::body::Body;
+use axum::http::{StatusCode, header};
+use axum::response::Response;
+use tokio::sync::OwnedMutexGuard;
+
+use crate::command::Command;
+use crate::ids::ParticleId;
+use crate::real::Real;
+use crate::server::extract::{Change, NoParameters, Preconditions, Target, etag};
+use crate::server::json::WireReal;
+use crate::server::problem::{Code, Problem};
+use crate::server::routes::particles::apply_to_one;
+use crate::server::wire::Description;
+use crate::world::World;
+
+/// Work, in particle-steps or numbers to write, that is done on the spot: about a tenth of a millisecond. Moving it to
+/// another thread and back costs a fifth of that.
+const INLINE_WORK: u64 = 20_000;
+
+/// Bytes of a body that are parsed on the spot: about as long.
+const INLINE_BYTES: usize = 32 << 10;
+
+/// A world of either precision. The precision of a request is matched here, once.
+#[derive(Debug, Clone)]
+pub(crate) enum AnySlot {
+    Single(Arc<Slot<f32>>),
+    Double(Arc<Slot<f64>>),
+}
+
+/// Runs an expression with the slot of either precision.
+macro_rules! with_slot {
+    ($any:expr, $slot:ident => $body:expr) => {
+        match $any {
+            $crate::server::slot::AnySlot::Single($slot) => $body,
+            $crate::server::slot::AnySlot::Double($slot) => $body,
+        }
+    };
+}
+pub(crate) use with_slot;
+
+/// One world with its lock.
+#[derive(Debug)]
+pub(crate) struct Slot<R: WireReal> {
+    world: Arc<tokio::sync::Mutex<Held<R>>>,
+    /// The description after the last change, for lists that must not wait for a long advance.
+    description: Mutex<Description<R>>,
+}
+
+#[derive(Debug)]
+pub(crate) struct Held<R: Real> {
+    /// `None` once it is deleted: requests that waited for the lock find nothing.
+    world: Option<World<R>>,
+    /// A change began and did not come to its end: a defect interrupted it.
+    interrupted: bool,
+}
+
+/// What a change answers.
+#[derive(Debug)]
+pub(crate) struct Reply {
+    pub(crate) status: StatusCode,
+    pub(crate) location: Option<String>,
+    pub(crate) body: Vec<u8>,
+}
+
+impl Reply {
+    pub(crate) fn ok(body: Vec<u8>) -> Self {
+        Self { status: StatusCode::OK, location: None, body }
+    }
+
+    pub(crate) fn no_content() -> Self {
+        Self { status: StatusCode::NO_CONTENT, location: None, body: Vec::new() }
+    }
+
+    pub(crate) fn created(location: Option<String>, body: Vec<u8>) -> Self {
+        Self { status: StatusCode::CREATED, location, body }
+    }
+
+    pub(crate) fn into_response(self, revision: Option<u64>) -> Response {
+        let mut response = Response::builder().status(self.status);
+        if self.status != StatusCode::NO_CONTENT {
+            response = response.header(header::CONTENT_TYPE, "application/json");
+        }
+        if let Some(location) = self.location {
+            response = response.header(header::LOCATION, location);
+        }
+        if let Some(revision) = revision {
+            response = response.header(header::ETAG, etag(revision));
+        }
+        response.body(Body::from(self.body)).expect("names of worlds are valid in headers")
+    }
+}
+
+/// Cancels the work of a request when its client goes away.
+#[derive(Debug, Default)]
+struct CancelOnDrop(Arc<AtomicBool>);
+
+impl Drop for CancelOnDrop {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+impl<R: WireReal> Slot<R> {
+    pub(crate) fn new(name: &str, world: World<R>) -> Self {
+        let description = Mutex::new(Description::new(name, &world));
+        Self { world: Arc::new(tokio::sync::Mutex::new(Held { world: Some(world), interrupted: false })), description }
+    }
+
+    pub(crate) fn description(&self) -> Description<R> {
+        self.description.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Changes the world: waits for its turn, checks in the order of the contract, applies, publishes.
+    ///
+    /// `work` estimates what `apply` costs.
+    pub(crate) async fn change<T: Send + 'static>(
+        self: &Arc<Self>,
+        target: &Target,
+        preconditions: &Preconditions,
+        parsed: Result<T, Problem>,
+        work: impl FnOnce(&World<R>, &T) -> u64,
+        apply: impl FnOnce(&mut World<R>, T, &AtomicBool) -> Result<Reply, Problem> + Send + 'static,
+    ) -> Result<Response, Problem> {
+        let mut held = self.lock(target).await?;
+        let world = held.world(target)?;
+        if let Err(problem) = &parsed
+            && problem.code == Code::MalformedJson
+        {
+            return Err(problem.clone());
+        }
+        preconditions.check(world.revision())?;
+        let parsed = parsed?;
+        let work = work(world, &parsed);
+        let slot = Arc::clone(self);
+        run(work, move |cancelled| {
+            held.interrupted = true;
+            let world = held.world.as_mut().expect("it was there above, under the same lock");
+            let reply = apply(world, parsed, cancelled);
+            let revision = world.revision();
+            slot.description.lock().unwrap_or_else(PoisonError::into_inner).update(world);
+            held.interrupted = false;
+            Ok(reply?.into_response(Some(revision)))
+        })
+        .await
+    }
+
+    /// Reads the world in its turn.
+    pub(crate) async fn read<Q: Send + 'static>(
+        self: &Arc<Self>,
+        target: &Target,
+        preconditions: &Preconditions,
+        query: Result<Q, Problem>,
+        work: impl FnOnce(&World<R>, &Q) -> u64,
+        answer: impl FnOnce(&World<R>, Q) -> Result<Vec<u8>, Problem> + Send + 'static,
+    ) -> Result<Response, Problem> {
+        let mut held = self.lock(target).await?;
+        let world = held.world(target)?;
+        let query = query?;
+        let revision = world.revision();
+        if preconditions.has(revision) {
+            let reply = Reply { status: StatusCode::NOT_MODIFIED, location: None, body: Vec::new() };
+            let mut response = reply.into_response(Some(revision));
+            response.headers_mut().remove(header::CONTENT_TYPE);
+            return Ok(response);
+        }
+        let work = work(world, &query);
+        run(work, move |_| {
+            let world = held.world.as_ref().expect("it was there above, under the same lock");
+            let body = answer(world, query)?;
+            drop(held);
+            Ok(Reply::ok(body).into_response(Some(revision)))
+        })
+        .await
+    }
+
+    /// Takes the world out, in its turn; `forget` runs while nobody else can see it.
+    pub(crate) async fn remove(
+        self: &Arc<Self>,
+        target: &Target,
+        preconditions: &Preconditions,
+        query: Result<(), Problem>,
+        forget: impl FnOnce(),
+    ) -> Result<Response, Problem> {
+        let mut held = Arc::clone(&self.world).lock_owned().await;
+        // A quarantined world can be deleted as well.
+        let world = held.world.as_ref().ok_or_else(|| unknown_world(&target.world))?;
+        preconditions.check(world.revision())?;
+        query?;
+        held.world = None;
+        forget();
+        Ok(Reply::no_content().into_response(None))
+    }
+
+    async fn lock(&self, target: &Target) -> Result<OwnedMutexGuard<Held<R>>, Problem> {
+        let held = Arc::clone(&self.world).lock_owned().await;
+        if held.interrupted {
+            let detail = format!("a defect interrupted a change of the world {:?}; delete it", target.world);
+            return Err(Problem::new(Code::WorldQuarantined, detail));
+        }
+        Ok(held)
+    }
+}
+
+impl<R: Real> Held<R> {
+    /// The world, with the particle of the path in it.
+    fn world(&mut self, target: &Target) -> Result<&mut World<R>, Problem> {
+        let world = self.world.as_mut().ok_or_else(|| unknown_world(&target.world))?;
+        if target.names_particle() {
+            let id = target.particle()?;
+            if !world.contains(id) {
+                return Err(Problem::new(Code::UnknownParticle, format!("there is no particle {id} in this world")));
+            }
+        }
+        Ok(world)
+    }
+}
+
+pub(crate) fn unknown_world(name: &str) -> Problem {
+    Problem::new(Code::UnknownWorld, format!("there is no world {name:?}; create it with PUT /v1/worlds/{{world}}"))
+}
+
+impl Change {
+    /// Changes the world of the path by a body without query parameters.
+    pub(crate) async fn apply<R: WireReal, T: Send + 'static>(
+        &self,
+        slot: &Arc<Slot<R>>,
+        parsed: Result<T, Problem>,
+        work: impl FnOnce(&World<R>, &T) -> u64,
+        apply: impl FnOnce(&mut World<R>, T, &AtomicBool) -> Result<Reply, Problem> + Send + 'static,
+    ) -> Result<Response, Problem> {
+        let parsed = parsed.and_then(|parsed| self.query::<NoParameters>().map(|_| parsed));
+        slot.change(&self.target, &self.preconditions, parsed, work, apply).await
+    }
+
+    /// Changes the particle of the path by one command; the answer is the particle.
+    pub(crate) async fn apply_to_one<R: WireReal>(
+        &self,
+        slot: &Arc<Slot<R>>,
+        read: impl FnOnce(&[u8], ParticleId) -> Result<Command<R>, Problem>,
+    ) -> Result<Response, Problem> {
+        // An unknown particle is told before anything about the body.
+        let id = self.target.particle().unwrap_or(ParticleId(u64::MAX));
+        let command = read(&self.body, id);
+        self.apply(slot, command, |_, _| 0, move |world, command, _| apply_to_one(world, id, &command)).await
+    }
+}
+
+/// Runs a job here, or in the compute pool when it is long.
+async fn run<T: Send + 'static>(
+    work: u64,
+    job: impl FnOnce(&AtomicBool) -> Result<T, Problem> + Send + 'static,
+) -> Result<T, Problem> {
+    let cancel = CancelOnDrop::default();
+    let cancelled = Arc::clone(&cancel.0);
+    if work <= INLINE_WORK {
+        return job(&cancelled);
+    }
+    in_pool(move || job(&cancelled)).await
+}
+
+/// Parses a body here, or in the compute pool when it is long.
+pub(crate) async fn parse<T: Send + 'static>(
+    body: axum::body::Bytes,
+    parse: impl FnOnce(&[u8]) -> Result<T, Problem> + Send + 'static,
+) -> Result<T, Problem> {
+    if body.len() <= INLINE_BYTES { parse(&body) } else { in_pool(move || parse(&body)).await }
+}
+
+/// The compute pool is tokio's pool of blocking threads, which `--threads` bounds and nothing else uses.
+async fn in_pool<T: Send + 'static>(job: impl FnOnce() -> Result<T, Problem> + Send + 'static) -> Result<T, Problem> {
+    match tokio::task::spawn_blocking(job).await {
+        Ok(result) => result,
+        Err(error) => match error.try_into_panic() {
+            Ok(panic) => std::panic::resume_unwind(panic),
+            Err(_) => Err(Problem::plain(Code::ShuttingDown)),
+        },
+    }
+}

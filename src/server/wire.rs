@@ -1,0 +1,578 @@
+//! The JSON shapes that routes share.
+
+use serde::de::IgnoredAny;
+use serde::{Deserialize, Serialize};
+use serde_json::value::RawValue;
+use utoipa::ToSchema;
+
+use crate::column::Column;
+use crate::command::{Command, Mass, NewParticles, Particle, Selection};
+use crate::ids::ParticleId;
+use crate::integrator::{DampingLaw, Integrator};
+use crate::real::Precision;
+use crate::server::json::{Choice, Element, Named, Object, Vector, WireReal, column, present};
+use crate::server::problem::{Code, Problem};
+use crate::world::{ParticleState, World};
+
+impl Choice for Precision {
+    const ALL: &'static [Self] = &Self::ALL;
+    fn name(self) -> &'static str {
+        self.name()
+    }
+}
+
+impl Choice for Integrator {
+    const ALL: &'static [Self] = &Self::ALL;
+    fn name(self) -> &'static str {
+        self.name()
+    }
+}
+
+impl Choice for DampingLaw {
+    const ALL: &'static [Self] = &Self::ALL;
+    fn name(self) -> &'static str {
+        self.name()
+    }
+}
+
+/// A vector for the OpenAPI description.
+#[derive(ToSchema)]
+#[schema(as = Vector, value_type = [f64; 3], min_items = 3, max_items = 3, example = json!([0.0, 9.5, 0.0]))]
+#[expect(dead_code, reason = "stands for Vector in the description")]
+pub(crate) struct VectorSchema([f64; 3]);
+
+/// One vector for all particles, or a list with one for each.
+#[derive(ToSchema)]
+#[schema(as = VectorColumn)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "stands for a column in the description")]
+pub(crate) enum VectorColumn {
+    One(VectorSchema),
+    Each(Vec<VectorSchema>),
+}
+
+/// One acceleration for all particles, or a list with one for each; null follows the gravity of the world.
+#[derive(ToSchema)]
+#[schema(as = AccelerationColumn)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "stands for a column in the description")]
+pub(crate) enum AccelerationColumn {
+    One(Option<VectorSchema>),
+    Each(Vec<Option<VectorSchema>>),
+}
+
+/// One number for all particles, or a list with one for each.
+#[derive(ToSchema)]
+#[schema(as = NumberColumn)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "stands for a column in the description")]
+pub(crate) enum NumberColumn {
+    One(f64),
+    Each(Vec<f64>),
+}
+
+/// A world and its settings.
+#[derive(Debug, Clone, Serialize, ToSchema)]
+#[schema(as = World, bound = "", example = json!({
+    "world": "demo", "precision": "double", "integrator": "exact", "gravity": [0.0, -9.80665, 0.0],
+    "damping_law": "per_second", "max_step": null, "time": 0.5, "step_count": 1, "particle_count": 2, "revision": 5
+}))]
+pub(crate) struct Description<R: WireReal> {
+    world: String,
+    /// `double` or `single`, fixed at creation.
+    #[schema(value_type = String)]
+    precision: Named<Precision>,
+    /// `exact`, `newton_euler`, `newton_euler_quadratic` or `semi_implicit_euler`.
+    #[schema(value_type = String)]
+    integrator: Named<Integrator>,
+    /// In m/s².
+    #[schema(value_type = VectorSchema)]
+    gravity: [R; 3],
+    /// `per_second` or `per_step`.
+    #[schema(value_type = String)]
+    damping_law: Named<DampingLaw>,
+    /// The longest step, in seconds, of an advance that names no steps.
+    #[schema(required)]
+    max_step: Option<f64>,
+    /// The clock in seconds.
+    time: f64,
+    /// Steps of all advances so far.
+    step_count: u64,
+    particle_count: usize,
+    /// Grows by one with every accepted change; also the ETag.
+    revision: u64,
+}
+
+impl<R: WireReal> Description<R> {
+    pub(crate) fn new(name: &str, world: &World<R>) -> Self {
+        let settings = world.settings();
+        Self {
+            world: name.to_owned(),
+            precision: Named(R::PRECISION),
+            integrator: Named(settings.integrator),
+            gravity: settings.gravity.into(),
+            damping_law: Named(settings.damping_law),
+            max_step: settings.max_step,
+            time: world.time(),
+            step_count: world.step_count(),
+            particle_count: world.particle_count(),
+            revision: world.revision(),
+        }
+    }
+
+    /// The same world, later.
+    pub(crate) fn update(&mut self, world: &World<R>) {
+        let name = std::mem::take(&mut self.world);
+        *self = Self { world: name, ..Self::new("", world) };
+    }
+}
+
+/// A property of a particle that can be asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Property {
+    Position,
+    Velocity,
+    Acceleration,
+    OwnAcceleration,
+    Damping,
+    Mass,
+    InverseMass,
+    Force,
+}
+
+impl Choice for Property {
+    const ALL: &'static [Self] = &[
+        Self::Position,
+        Self::Velocity,
+        Self::Acceleration,
+        Self::OwnAcceleration,
+        Self::Damping,
+        Self::Mass,
+        Self::InverseMass,
+        Self::Force,
+    ];
+    fn name(self) -> &'static str {
+        match self {
+            Self::Position => "position",
+            Self::Velocity => "velocity",
+            Self::Acceleration => "acceleration",
+            Self::OwnAcceleration => "own_acceleration",
+            Self::Damping => "damping",
+            Self::Mass => "mass",
+            Self::InverseMass => "inverse_mass",
+            Self::Force => "force",
+        }
+    }
+}
+
+/// Reads `fields=position,velocity`.
+pub(crate) fn properties(fields: &str) -> Result<Vec<Property>, Problem> {
+    fields
+        .split(',')
+        .map(|name| {
+            Property::ALL.iter().copied().find(|property| property.name() == name).ok_or_else(|| {
+                let names: Vec<&str> = Property::ALL.iter().map(|property| property.name()).collect();
+                let detail = format!("fields has {name:?}; it takes {}, separated by commas", names.join(", "));
+                Problem::new(Code::InvalidParameter, detail)
+            })
+        })
+        .collect()
+}
+
+/// A particle to create; every field is optional.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, bound = "")]
+#[schema(as = NewParticle, bound = "", example = json!({
+    "position": [0.0, 10.0, 0.0], "velocity": [3.0, 0.0, 0.0], "acceleration": null, "damping": 0.99, "mass": 2.0
+}))]
+pub(crate) struct ParticleBody<R: WireReal> {
+    /// In metres; default 0.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<VectorSchema>, nullable = false)]
+    position: Option<Vector<R>>,
+    /// In m/s; default 0.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<VectorSchema>, nullable = false)]
+    velocity: Option<Vector<R>>,
+    /// Own acceleration in m/s²; default null: the gravity of the world.
+    #[serde(default)]
+    #[schema(value_type = Option<VectorSchema>)]
+    acceleration: Option<Vector<R>>,
+    /// The share of the velocity kept each second, 0 to 1; default 1.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<f64>, nullable = false, minimum = 0, maximum = 1)]
+    damping: Option<R>,
+    /// In kg, above 0; default 1. Not together with `inverse_mass`.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<f64>, nullable = false, exclusive_minimum = 0)]
+    mass: Option<R>,
+    /// In 1/kg, at least 0; 0 is an immovable particle.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<f64>, nullable = false, minimum = 0)]
+    inverse_mass: Option<R>,
+}
+
+impl<R: WireReal> ParticleBody<R> {
+    fn particle(self, prefix: &str) -> Result<Particle<R>, Problem> {
+        let default = Particle::<R>::default();
+        let vector = |given: Option<Vector<R>>, default| given.map_or(default, |Vector(v)| v.into());
+        Ok(Particle {
+            position: vector(self.position, default.position),
+            velocity: vector(self.velocity, default.velocity),
+            acceleration: self.acceleration.map(|Vector(a)| a.into()),
+            damping: self.damping.unwrap_or(default.damping),
+            mass: mass(self.mass, self.inverse_mass, prefix)?.unwrap_or(default.mass),
+        })
+    }
+
+    pub(crate) fn one(self) -> Result<NewParticles<R>, Problem> {
+        Ok(self.particle("")?.into())
+    }
+
+    pub(crate) fn list(bodies: Vec<Object<Self>>) -> Result<NewParticles<R>, Problem> {
+        let with_place = |(index, Object(body)): (usize, Object<Self>)| body.particle(&format!("/{index}"));
+        bodies.into_iter().enumerate().map(with_place).collect()
+    }
+}
+
+/// A mass said in one of two ways.
+pub(crate) fn mass<R: WireReal>(
+    mass: Option<R>,
+    inverse_mass: Option<R>,
+    prefix: &str,
+) -> Result<Option<Mass<R>>, Problem> {
+    match (mass, inverse_mass) {
+        (None, None) => Ok(None),
+        (Some(mass), None) => Ok(Some(Mass::Mass(mass))),
+        (None, Some(inverse)) => Ok(Some(Mass::Inverse(inverse))),
+        (Some(_), Some(_)) => Err(both_masses(prefix)),
+    }
+}
+
+fn both_masses(prefix: &str) -> Problem {
+    let detail = "mass and inverse_mass say the same thing; give one of them";
+    Problem::at(Code::MassAndInverseMass, format!("{prefix}/inverse_mass"), detail)
+}
+
+/// Particles to create, as columns.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(as = NewParticleColumns, example = json!({
+    "count": 3, "position": [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]], "velocity": [0.0, 5.0, 0.0],
+    "damping": 0.99, "mass": [1.0, 2.0, 3.0]
+}))]
+pub(crate) struct ColumnsBody<'a> {
+    /// How many particles.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = usize, required)]
+    pub(crate) count: Option<usize>,
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<VectorColumn>, nullable = false)]
+    position: Option<&'a RawValue>,
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<VectorColumn>, nullable = false)]
+    velocity: Option<&'a RawValue>,
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<AccelerationColumn>)]
+    acceleration: Option<&'a RawValue>,
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<NumberColumn>, nullable = false)]
+    damping: Option<&'a RawValue>,
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<NumberColumn>, nullable = false)]
+    mass: Option<&'a RawValue>,
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<NumberColumn>, nullable = false)]
+    inverse_mass: Option<&'a RawValue>,
+}
+
+impl ColumnsBody<'_> {
+    pub(crate) fn particles<R: WireReal>(&self, count: usize) -> Result<NewParticles<R>, Problem> {
+        let default = NewParticles::<R>::default();
+        Ok(NewParticles {
+            count,
+            position: optional_column::<Vector<R>>(self.position, "position")?.unwrap_or(default.position),
+            velocity: optional_column::<Vector<R>>(self.velocity, "velocity")?.unwrap_or(default.velocity),
+            acceleration: optional_column::<Option<Vector<R>>>(self.acceleration, "acceleration")?
+                .unwrap_or(default.acceleration),
+            damping: optional_column::<R>(self.damping, "damping")?.unwrap_or(default.damping),
+            mass: mass_column(self.mass, self.inverse_mass)?.unwrap_or(default.mass),
+        })
+    }
+}
+
+/// New properties for many particles.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(as = SetParticles, example = json!({"ids": [0, 2], "damping": 0.9, "mass": [1.5, 2.5]}))]
+pub(crate) struct SetManyBody<'a> {
+    /// Which particles; absent: all.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(nullable = false)]
+    ids: Option<Vec<u64>>,
+    /// In m/s²; null: follow the gravity of the world again.
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<AccelerationColumn>)]
+    acceleration: Option<&'a RawValue>,
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<NumberColumn>, nullable = false)]
+    damping: Option<&'a RawValue>,
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<NumberColumn>, nullable = false)]
+    mass: Option<&'a RawValue>,
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<NumberColumn>, nullable = false)]
+    inverse_mass: Option<&'a RawValue>,
+    #[serde(default, deserialize_with = "present")]
+    #[schema(ignore)]
+    position: Option<IgnoredAny>,
+    #[serde(default, deserialize_with = "present")]
+    #[schema(ignore)]
+    velocity: Option<IgnoredAny>,
+}
+
+impl SetManyBody<'_> {
+    pub(crate) fn command<R: WireReal>(self) -> Result<Command<R>, Problem> {
+        refuse_state(self.position.is_some(), self.velocity.is_some())?;
+        Ok(Command::Set {
+            ids: self.ids.map_or(Selection::All, selection),
+            acceleration: optional_column::<Option<Vector<R>>>(self.acceleration, "acceleration")?,
+            damping: optional_column::<R>(self.damping, "damping")?,
+            mass: mass_column(self.mass, self.inverse_mass)?,
+        })
+    }
+}
+
+/// New properties for one particle.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, bound = "")]
+#[schema(as = SetParticle, bound = "", example = json!({"damping": 0.9, "acceleration": null}))]
+pub(crate) struct SetOneBody<R: WireReal> {
+    /// In m/s²; null: follow the gravity of the world again.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<VectorSchema>)]
+    #[expect(clippy::option_option, reason = "absent, null and a vector are three things")]
+    acceleration: Option<Option<Vector<R>>>,
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<f64>, nullable = false, minimum = 0, maximum = 1)]
+    damping: Option<R>,
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<f64>, nullable = false, exclusive_minimum = 0)]
+    mass: Option<R>,
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<f64>, nullable = false, minimum = 0)]
+    inverse_mass: Option<R>,
+    #[serde(default, deserialize_with = "present")]
+    #[schema(ignore)]
+    position: Option<IgnoredAny>,
+    #[serde(default, deserialize_with = "present")]
+    #[schema(ignore)]
+    velocity: Option<IgnoredAny>,
+}
+
+impl<R: WireReal> SetOneBody<R> {
+    pub(crate) fn command(self, id: ParticleId) -> Result<Command<R>, Problem> {
+        refuse_state(self.position.is_some(), self.velocity.is_some())?;
+        Ok(Command::Set {
+            ids: id.into(),
+            acceleration: self.acceleration.map(|own| Column::Uniform(own.map(|Vector(a)| a.into()))),
+            damping: self.damping.map(Column::Uniform),
+            mass: mass(self.mass, self.inverse_mass, "")?.map(Column::Uniform),
+        })
+    }
+}
+
+/// Position and velocity belong to the integrator.
+fn refuse_state(position: bool, velocity: bool) -> Result<(), Problem> {
+    for (given, field) in [(position, "position"), (velocity, "velocity")] {
+        if given {
+            let detail = format!(
+                "the integrator owns {field}: change the velocity with POST …/impulse, or teleport with POST …/place"
+            );
+            return Err(Problem::at(Code::IntegratorOwnsField, format!("/{field}"), detail));
+        }
+    }
+    Ok(())
+}
+
+pub(crate) fn selection(ids: Vec<u64>) -> Selection {
+    Selection::Ids(ids.into_iter().map(ParticleId).collect())
+}
+
+fn optional_column<E: Element>(raw: Option<&RawValue>, field: &str) -> Result<Option<Column<E::Value>>, Problem> {
+    raw.map(|raw| column::<E>(raw.get(), field)).transpose()
+}
+
+fn mass_column<R: WireReal>(
+    mass: Option<&RawValue>,
+    inverse_mass: Option<&RawValue>,
+) -> Result<Option<Column<Mass<R>>>, Problem> {
+    if mass.is_some() && inverse_mass.is_some() {
+        return Err(both_masses(""));
+    }
+    let mass = optional_column::<R>(mass, "mass")?.map(|column| column.map(Mass::Mass));
+    let inverse = optional_column::<R>(inverse_mass, "inverse_mass")?.map(|column| column.map(Mass::Inverse));
+    Ok(mass.or(inverse))
+}
+
+/// A particle at the clock of its world.
+#[derive(Debug, Serialize, ToSchema)]
+#[serde(bound = "")]
+#[schema(as = Particle, bound = "", example = json!({
+    "id": 0, "position": [0.0, 10.0, 0.0], "velocity": [3.0, 0.0, 0.0], "acceleration": [0.0, -9.80665, 0.0],
+    "own_acceleration": null, "damping": 0.99, "mass": 2.0, "inverse_mass": 0.5, "force": [0.0, 0.0, 0.0]
+}))]
+pub(crate) struct ParticleView<R: WireReal> {
+    id: u64,
+    /// In metres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = VectorSchema)]
+    position: Option<[R; 3]>,
+    /// In m/s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = VectorSchema)]
+    velocity: Option<[R; 3]>,
+    /// The effective acceleration in m/s², without the share of the force.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = VectorSchema)]
+    acceleration: Option<[R; 3]>,
+    /// Its own acceleration in m/s²; null when it follows the gravity of the world.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<VectorSchema>)]
+    #[expect(clippy::option_option, reason = "not asked for, null and a vector are three things")]
+    own_acceleration: Option<Option<[R; 3]>>,
+    /// The share of the velocity kept each second.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = f64)]
+    damping: Option<R>,
+    /// In kg: 1/inverse_mass; null when immovable.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<f64>)]
+    #[expect(clippy::option_option, reason = "not asked for, null and a number are three things")]
+    mass: Option<Option<R>>,
+    /// In 1/kg.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = f64)]
+    inverse_mass: Option<R>,
+    /// The force accumulator in newtons: what was added since the last advance.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = VectorSchema)]
+    force: Option<[R; 3]>,
+}
+
+impl<R: WireReal> ParticleView<R> {
+    pub(crate) fn new(state: &ParticleState<R>, properties: &[Property]) -> Self {
+        let wants = |property| properties.contains(&property);
+        Self {
+            id: state.id.0,
+            position: wants(Property::Position).then(|| state.position.into()),
+            velocity: wants(Property::Velocity).then(|| state.velocity.into()),
+            acceleration: wants(Property::Acceleration).then(|| state.acceleration.into()),
+            own_acceleration: wants(Property::OwnAcceleration).then(|| state.own_acceleration.map(Into::into)),
+            damping: wants(Property::Damping).then_some(state.damping),
+            mass: wants(Property::Mass).then(|| state.mass()),
+            inverse_mass: wants(Property::InverseMass).then_some(state.inverse_mass),
+            force: wants(Property::Force).then(|| state.force.into()),
+        }
+    }
+
+    pub(crate) fn whole(state: &ParticleState<R>) -> Self {
+        Self::new(state, Property::ALL)
+    }
+}
+
+/// Columns of all particles in ascending order of id; only the fields that were asked for.
+#[derive(Debug, Serialize, ToSchema)]
+#[serde(bound = "")]
+#[schema(as = State, bound = "", example = json!({
+    "time": 0.5, "count": 2, "id": [0, 1], "position": [[0.0, 1.5, 0.0], [2.0, 0.0, 0.0]]
+}))]
+pub(crate) struct State<R: WireReal> {
+    /// The clock in seconds.
+    time: f64,
+    count: usize,
+    id: Vec<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<Vec<VectorSchema>>, nullable = false)]
+    position: Option<Vec<[R; 3]>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<Vec<VectorSchema>>, nullable = false)]
+    velocity: Option<Vec<[R; 3]>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<Vec<VectorSchema>>, nullable = false)]
+    acceleration: Option<Vec<[R; 3]>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<Vec<Option<VectorSchema>>>, nullable = false)]
+    own_acceleration: Option<Vec<Option<[R; 3]>>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<Vec<f64>>, nullable = false)]
+    damping: Option<Vec<R>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<Vec<Option<f64>>>, nullable = false)]
+    mass: Option<Vec<Option<R>>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<Vec<f64>>, nullable = false)]
+    inverse_mass: Option<Vec<R>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<Vec<VectorSchema>>, nullable = false)]
+    force: Option<Vec<[R; 3]>>,
+}
+
+impl<R: WireReal> State<R> {
+    pub(crate) fn of(world: &World<R>, properties: &[Property]) -> Self {
+        fn start<T>(wanted: bool, count: usize) -> Option<Vec<T>> {
+            wanted.then(|| Vec::with_capacity(count))
+        }
+        fn push<T>(column: &mut Option<Vec<T>>, value: impl FnOnce() -> T) {
+            if let Some(column) = column {
+                column.push(value());
+            }
+        }
+        let count = world.particle_count();
+        let wants = |property| properties.contains(&property);
+        let mut state = Self {
+            time: world.time(),
+            count,
+            id: Vec::with_capacity(count),
+            position: start(wants(Property::Position), count),
+            velocity: start(wants(Property::Velocity), count),
+            acceleration: start(wants(Property::Acceleration), count),
+            own_acceleration: start(wants(Property::OwnAcceleration), count),
+            damping: start(wants(Property::Damping), count),
+            mass: start(wants(Property::Mass), count),
+            inverse_mass: start(wants(Property::InverseMass), count),
+            force: start(wants(Property::Force), count),
+        };
+        for particle in world.particles() {
+            state.id.push(particle.id.0);
+            push(&mut state.position, || particle.position.into());
+            push(&mut state.velocity, || particle.velocity.into());
+            push(&mut state.acceleration, || particle.acceleration.into());
+            push(&mut state.own_acceleration, || particle.own_acceleration.map(Into::into));
+            push(&mut state.damping, || particle.damping);
+            push(&mut state.mass, || particle.mass());
+            push(&mut state.inverse_mass, || particle.inverse_mass);
+            push(&mut state.force, || particle.force.into());
+        }
+        state
+    }
+}
+
+/// What was created.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"first_id": 0, "count": 3}))]
+pub(crate) struct Created {
+    /// The ids count up from here.
+    pub(crate) first_id: u64,
+    pub(crate) count: usize,
+}
+
+/// What was changed.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"count": 3, "revision": 8}))]
+pub(crate) struct Changed {
+    /// How many particles the request spoke of.
+    pub(crate) count: usize,
+    /// The revision of the world afterwards.
+    pub(crate) revision: u64,
+}
