@@ -49,7 +49,10 @@ fn explain(error: &serde_path_to_error::Error<serde_json::Error>, prefix: &str) 
     .into_iter()
     .find_map(|(beginning, code)| detail.starts_with(beginning).then_some(code))
     .unwrap_or(Code::InvalidField);
-    Problem::at(code, format!("{prefix}{}", pointer(error.path())), detail)
+    // An absent or repeated field is told with the object that has it; the name stands in the sentence.
+    let field = matches!(code, Code::DuplicateField | Code::MissingField).then(|| detail.split('`').nth(1)).flatten();
+    let field = field.map(|name| format!("/{name}")).unwrap_or_default();
+    Problem::at(code, format!("{prefix}{}{field}", pointer(error.path())), detail)
 }
 
 /// JSON Pointer (RFC 6901).
@@ -243,7 +246,7 @@ mod tests {
             ("{\"mass\":1e400}", Code::NotFinite, Some("/mass")),
             ("{\"mass\":1,\"mass\":1}", Code::DuplicateField, Some("/mass")),
             ("{\"mass\":1,\"a/b\":1}", Code::UnknownField, Some("/a~1b")),
-            ("{}", Code::MissingField, Some("")),
+            ("{}", Code::MissingField, Some("/mass")),
         ] {
             let problem = parse::<Object<Body>>(text.as_bytes()).expect_err(text);
             assert_eq!((problem.code, problem.pointer.as_deref()), (code, pointer), "{text}: {}", problem.detail);

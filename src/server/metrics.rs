@@ -24,9 +24,10 @@ pub(crate) struct Metrics {
 }
 
 impl Metrics {
-    /// Routes are few and methods are those of routes, so that the number of series is bounded.
+    /// Routes are few, and a method counts by its name only where a route has it: the number of series is bounded.
     pub(crate) fn answered(&self, method: &Method, route: &str, status: StatusCode) {
-        let method = if route == "none" { "any" } else { method.as_str() };
+        let known = route != "none" && status != StatusCode::METHOD_NOT_ALLOWED && status != StatusCode::FORBIDDEN;
+        let method = if known { method.as_str() } else { "any" };
         let answer = Answer { method: method.to_owned(), route: route.to_owned(), status: status.as_u16() };
         self.answers.get_or_create(&answer).inc();
     }

@@ -107,6 +107,7 @@ mod tests {
     use axum::http::Request;
     use axum::routing::get;
     use http_body_util::BodyExt;
+    use std::sync::Arc;
     use tower::ServiceExt;
 
     #[tokio::test]

@@ -3,7 +3,9 @@
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
-use utoipa::ToSchema;
+use utoipa::openapi::RefOr;
+use utoipa::openapi::schema::{ObjectBuilder, Schema, Type};
+use utoipa::{PartialSchema, ToSchema};
 
 use crate::error::{Error, Limit, Place};
 use crate::server::config;
@@ -203,6 +205,19 @@ impl Code {
     }
 }
 
+/// The stable words of problems.
+#[derive(Debug)]
+pub(crate) struct ProblemCode;
+
+impl PartialSchema for ProblemCode {
+    fn schema() -> RefOr<Schema> {
+        let names = Code::ALL.map(Code::name);
+        RefOr::T(Schema::Object(ObjectBuilder::new().schema_type(Type::String).enum_values(Some(names)).build()))
+    }
+}
+
+impl ToSchema for ProblemCode {}
+
 /// A refusal: what a client gets instead of what it asked for.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Problem {
@@ -233,7 +248,10 @@ pub(crate) struct ProblemBody<'a> {
     r#type: String,
     title: &'a str,
     status: u16,
+    /// One sentence that a person can act on.
     detail: &'a str,
+    /// The stable word.
+    #[schema(value_type = ProblemCode)]
     code: &'a str,
     /// JSON Pointer (RFC 6901) into the request body.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -1,0 +1,334 @@
+//! Every refusal as a row: what is sent, and the status, code and pointer that come back. A refused request changes
+//! nothing, and each code of the service is seen at least once.
+
+use std::collections::HashSet;
+
+use serde_json::Value;
+
+use crate::service::{Client, Service};
+
+/// Method, path, body, status, code, pointer. `@` stands for a world in double, `%` for one in single, both with the
+/// particles 0 to 3 of which 3 is removed, under newton_euler.
+#[rustfmt::skip]
+const ROWS: &[(&str, &str, &str, u16, &str, Option<&str>)] = &[
+    // Routes and methods.
+    ("GET", "/", "", 404, "unknown_route", None),
+    ("GET", "/v2/worlds", "", 404, "unknown_route", None),
+    ("GET", "@/nothing", "", 404, "unknown_route", None),
+    ("GET", "/v1/worlds/", "", 404, "unknown_route", None),
+    ("DELETE", "/v1/worlds", "", 405, "method_not_allowed", None),
+    ("PUT", "@/advance", "{}", 405, "method_not_allowed", None),
+    ("PATCH", "@/particles/0/mass", "{}", 405, "method_not_allowed", None),
+    ("GET", "/problems/no_such_code", "", 404, "unknown_route", None),
+    // Names.
+    ("GET", "/v1/worlds/nowhere", "", 404, "unknown_world", None),
+    ("POST", "/v1/worlds/nowhere/advance", "{\"duration\":1}", 404, "unknown_world", None),
+    ("POST", "/v1/worlds/nowhere/advance", "{", 404, "unknown_world", None),
+    ("DELETE", "/v1/worlds/nowhere", "", 404, "unknown_world", None),
+    ("GET", "@/particles/99", "", 404, "unknown_particle", None),
+    ("GET", "@/particles/3", "", 404, "unknown_particle", None),
+    ("GET", "@/particles/-1", "", 404, "unknown_particle", None),
+    ("GET", "@/particles/01", "", 404, "unknown_particle", None),
+    ("GET", "@/particles/x", "", 404, "unknown_particle", None),
+    ("PUT", "@/particles/99/mass", "{", 404, "unknown_particle", None),
+    ("PUT", "@/particles/3/mass", "{\"mass\":0}", 404, "unknown_particle", None),
+    ("GET", "@/particles?ids=0,99", "", 404, "unknown_particle", None),
+    ("POST", "@/forces", "{\"ids\":[0,3],\"force\":[1,0,0]}", 404, "unknown_particle", Some("/ids/1")),
+    ("PATCH", "@/particles", "{\"ids\":[99],\"damping\":1}", 404, "unknown_particle", Some("/ids/0")),
+    ("PUT", "/v1/worlds/-a", "", 422, "invalid_world_name", None),
+    ("PUT", "/v1/worlds/a.b", "{}", 422, "invalid_world_name", None),
+    ("PUT", "/v1/worlds/aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa", "", 422, "invalid_world_name", None),
+    ("PUT", "@", "{}", 409, "world_exists", None),
+    // Not JSON.
+    ("PUT", "@/particles/0/mass", "", 400, "malformed_json", None),
+    ("PUT", "@/particles/0/mass", "{\"mass\":2", 400, "malformed_json", None),
+    ("PUT", "@/particles/0/mass", "{\"mass\":2} x", 400, "malformed_json", None),
+    ("PUT", "@/particles/0/mass", "{\"mass\":NaN}", 400, "malformed_json", None),
+    ("PUT", "@/particles/0/mass", "{\"mass\":Infinity}", 400, "malformed_json", None),
+    ("PUT", "@/particles/0/mass", "{\"mass\":+1}", 400, "malformed_json", None),
+    ("PUT", "@/particles/0/mass", "{\"mass\":01}", 400, "malformed_json", None),
+    ("PUT", "@/particles/0/mass", "{'mass':1}", 400, "malformed_json", None),
+    ("PUT", "@/particles/0/mass", "\u{feff}{\"mass\":1}", 400, "malformed_json", None),
+    ("PUT", "@/particles/0/mass", "mass=1", 400, "malformed_json", None),
+    ("POST", "@/advance", "{\"duration\":\"x\" \"steps\":1}", 400, "malformed_json", None),
+    ("POST", "@/particles", "[{},", 400, "malformed_json", None),
+    ("PUT", "/v1/worlds/fresh", "{", 400, "malformed_json", None),
+    // Shapes.
+    ("PUT", "@/particles/0/mass", "[1]", 422, "invalid_field", Some("")),
+    ("PUT", "@/particles/0/mass", "1", 422, "invalid_field", Some("")),
+    ("PUT", "@/particles/0/mass", "null", 422, "invalid_field", Some("")),
+    ("PUT", "@/particles/0/mass", "{\"mass\":\"1\"}", 422, "invalid_field", Some("/mass")),
+    ("PUT", "@/particles/0/mass", "{\"mass\":true}", 422, "invalid_field", Some("/mass")),
+    ("PUT", "@/particles/0/mass", "{\"mass\":null}", 422, "invalid_field", Some("/mass")),
+    ("PUT", "@/particles/0/mass", "{\"mass\":[1]}", 422, "invalid_field", Some("/mass")),
+    ("PUT", "@/particles/0/mass", "{\"Mass\":1}", 422, "unknown_field", Some("/Mass")),
+    ("PUT", "@/particles/0/mass", "{\"mass\":1,\"mass\":1}", 422, "duplicate_field", Some("/mass")),
+    ("PUT", "@/particles/0/mass", "{\"mass\":1,\"~a/b\":1}", 422, "unknown_field", Some("/~0a~1b")),
+    ("PUT", "@/particles/0/mass", "{}", 422, "missing_field", None),
+    ("PUT", "@/particles/0/mass", "{\"mass\":2,\"inverse_mass\":0.5}", 422, "mass_and_inverse_mass", Some("/inverse_mass")),
+    ("POST", "@/particles", "{\"position\":[1,2]}", 422, "invalid_field", Some("/position")),
+    ("POST", "@/particles", "{\"position\":[1,2,3,4]}", 422, "invalid_field", Some("/position")),
+    ("POST", "@/particles", "{\"position\":[1,null,3]}", 422, "invalid_field", Some("/position/1")),
+    ("POST", "@/particles", "{\"position\":{\"x\":1}}", 422, "invalid_field", Some("/position")),
+    ("POST", "@/particles", "{\"position\":null}", 422, "invalid_field", Some("/position")),
+    ("POST", "@/particles", "{\"id\":7}", 422, "unknown_field", Some("/id")),
+    ("POST", "@/particles", "{\"position\":[[1,2,3]]}", 422, "invalid_field", Some("/position/0")),
+    ("POST", "@/particles", "[{},[]]", 422, "invalid_field", Some("/1")),
+    ("POST", "@/particles", "[{},{\"count\":1}]", 422, "unknown_field", Some("/1/count")),
+    ("POST", "@/particles", "{\"count\":-1}", 422, "invalid_field", Some("/count")),
+    ("POST", "@/particles", "{\"count\":1.5}", 422, "invalid_field", Some("/count")),
+    ("POST", "@/particles", "{\"count\":2,\"position\":[[1,2,3],[1,2]]}", 422, "invalid_field", Some("/position/1")),
+    ("POST", "@/particles", "{\"count\":2,\"damping\":[1,\"x\"]}", 422, "invalid_field", Some("/damping/1")),
+    ("POST", "@/particles", "{\"count\":2,\"mass\":[1,null]}", 422, "invalid_field", Some("/mass/1")),
+    ("POST", "@/particles/0/force", "{}", 422, "missing_field", Some("/force")),
+    ("POST", "@/particles/0/force", "{\"force\":5}", 422, "invalid_field", Some("/force")),
+    ("POST", "@/particles/0/impulse", "{\"force\":[1,0,0]}", 422, "unknown_field", Some("/force")),
+    ("POST", "@/particles/0/place", "{}", 422, "missing_field", None),
+    ("POST", "@/forces", "{\"ids\":[0.0],\"force\":[1,0,0]}", 422, "invalid_field", Some("/ids/0")),
+    ("POST", "@/forces", "{\"ids\":[0]}", 422, "missing_field", Some("/force")),
+    ("POST", "@/advance", "{}", 422, "missing_field", Some("/duration")),
+    ("POST", "@/advance", "{\"duration\":1,\"steps\":1.0}", 422, "invalid_field", Some("/steps")),
+    ("POST", "@/advance", "{\"duration\":1,\"steps\":null}", 422, "invalid_field", Some("/steps")),
+    ("POST", "@/advance", "{\"duration\":1,\"return\":[\"speed\"]}", 422, "invalid_field", Some("/return/0")),
+    ("POST", "@/advance", "{\"duration\":1,\"dry_run\":1}", 422, "invalid_field", Some("/dry_run")),
+    ("PUT", "/v1/worlds/fresh", "{\"precision\":\"half\"}", 422, "invalid_field", Some("/precision")),
+    ("PUT", "/v1/worlds/fresh", "{\"integrator\":\"euler\"}", 422, "invalid_field", Some("/integrator")),
+    ("PUT", "/v1/worlds/fresh", "{\"gravity\":\"moon\"}", 422, "invalid_field", Some("/gravity")),
+    ("PUT", "/v1/worlds/fresh", "{\"gravity\":[0,-10]}", 422, "invalid_field", Some("/gravity")),
+    ("PUT", "/v1/worlds/fresh", "{\"gravity\":null}", 422, "invalid_field", Some("/gravity")),
+    ("PUT", "/v1/worlds/fresh", "{\"name\":\"x\"}", 422, "unknown_field", Some("/name")),
+    ("POST", "/v1/worlds", "[]", 422, "invalid_field", Some("")),
+    ("PATCH", "@", "{\"precision\":\"single\"}", 422, "unknown_field", Some("/precision")),
+    ("PATCH", "@", "{\"max_step\":\"x\"}", 422, "invalid_field", Some("/max_step")),
+    ("PATCH", "@/particles/0", "{\"position\":[1,2,3]}", 422, "integrator_owns_field", Some("/position")),
+    ("PATCH", "@/particles/0", "{\"velocity\":[1,2,3]}", 422, "integrator_owns_field", Some("/velocity")),
+    ("PATCH", "@/particles", "{\"velocity\":[1,2,3]}", 422, "integrator_owns_field", Some("/velocity")),
+    ("PATCH", "@/particles/0", "{\"mass\":1,\"inverse_mass\":1}", 422, "mass_and_inverse_mass", Some("/inverse_mass")),
+    ("PATCH", "@/particles", "{\"mass\":1,\"inverse_mass\":[1,1,1]}", 422, "mass_and_inverse_mass", Some("/inverse_mass")),
+    ("POST", "@/particles", "[{},{\"mass\":1,\"inverse_mass\":1}]", 422, "mass_and_inverse_mass", Some("/1/inverse_mass")),
+    // Numbers.
+    ("PUT", "@/particles/0/mass", "{\"mass\":0}", 422, "mass_not_positive", Some("/mass")),
+    ("PUT", "@/particles/0/mass", "{\"mass\":-0.0}", 422, "mass_not_positive", Some("/mass")),
+    ("PUT", "@/particles/0/mass", "{\"mass\":-2}", 422, "mass_not_positive", Some("/mass")),
+    ("PUT", "@/particles/0/mass", "{\"mass\":1e-309}", 422, "not_finite", Some("/mass")),
+    ("PUT", "@/particles/0/mass", "{\"mass\":1e400}", 422, "not_finite", Some("/mass")),
+    ("PUT", "@/particles/0/mass", "{\"inverse_mass\":-1}", 422, "inverse_mass_negative", Some("/inverse_mass")),
+    ("PUT", "%/particles/0/mass", "{\"mass\":1e39}", 422, "not_finite", Some("/mass")),
+    ("PUT", "%/particles/0/mass", "{\"mass\":1e-40}", 422, "not_finite", Some("/mass")),
+    ("POST", "@/particles", "{\"position\":[0,1e999,0]}", 422, "not_finite", Some("/position/1")),
+    ("POST", "%/particles", "{\"position\":[0,1e39,0]}", 422, "not_finite", Some("/position/1")),
+    ("POST", "%/particles", "{\"count\":2,\"velocity\":[[0,0,0],[0,-1e39,0]]}", 422, "not_finite", Some("/velocity/1/1")),
+    ("POST", "@/particles", "{\"mass\":0}", 422, "mass_not_positive", Some("/mass")),
+    ("POST", "@/particles", "{\"damping\":1.0000000000000002}", 422, "damping_out_of_range", Some("/damping")),
+    ("POST", "@/particles", "{\"damping\":-1e-300}", 422, "damping_out_of_range", Some("/damping")),
+    ("POST", "@/particles", "[{},{\"damping\":2}]", 422, "damping_out_of_range", Some("/1/damping")),
+    ("POST", "@/particles", "[{},{\"mass\":-1}]", 422, "mass_not_positive", Some("/1/mass")),
+    ("POST", "@/particles", "{\"count\":3,\"damping\":[1,0.5,2]}", 422, "damping_out_of_range", Some("/damping/2")),
+    ("POST", "@/particles", "{\"count\":3,\"mass\":[1,2]}", 422, "length_mismatch", Some("/mass")),
+    ("POST", "@/particles", "{\"count\":3,\"position\":[]}", 422, "length_mismatch", Some("/position")),
+    ("PATCH", "@/particles", "{\"damping\":[1,1]}", 422, "length_mismatch", Some("/damping")),
+    ("PATCH", "@/particles", "{\"ids\":[0,1],\"mass\":[1,0]}", 422, "mass_not_positive", Some("/mass/1")),
+    ("PATCH", "@/particles/0", "{\"damping\":7}", 422, "damping_out_of_range", Some("/damping")),
+    ("PATCH", "@/particles/0", "{\"acceleration\":[0,1e400,0]}", 422, "not_finite", Some("/acceleration/1")),
+    ("POST", "@/forces", "{\"ids\":[0,1],\"force\":[[1,0,0]]}", 422, "length_mismatch", Some("/force")),
+    ("POST", "@/forces", "{\"ids\":[0,0],\"force\":[1e308,0,0]}", 422, "not_finite", Some("/force")),
+    ("POST", "@/particles/0/impulse", "{\"impulse\":[1e400,0,0]}", 422, "not_finite", Some("/impulse/0")),
+    ("POST", "@/particles/1/impulse", "{\"impulse\":[1e308,0,0]}", 422, "not_finite", Some("/impulse")),
+    // Time.
+    ("POST", "@/advance", "{\"duration\":0}", 422, "duration_not_positive", Some("/duration")),
+    ("POST", "@/advance", "{\"duration\":-0.0}", 422, "duration_not_positive", Some("/duration")),
+    ("POST", "@/advance", "{\"duration\":-1}", 422, "duration_not_positive", Some("/duration")),
+    ("POST", "@/advance", "{\"duration\":1e400}", 422, "not_finite", Some("/duration")),
+    ("POST", "@/advance", "{\"duration\":1e200}", 422, "clock_out_of_range", Some("/duration")),
+    ("POST", "%/advance", "{\"duration\":1e39}", 422, "not_finite", Some("/duration")),
+    ("POST", "@/advance", "{\"duration\":1,\"steps\":0}", 422, "steps_not_positive", Some("/steps")),
+    ("POST", "@/advance", "{\"duration\":1,\"steps\":2,\"max_step\":1}", 422, "steps_and_max_step", Some("/max_step")),
+    ("POST", "@/advance", "{\"duration\":1,\"max_step\":0}", 422, "max_step_not_positive", Some("/max_step")),
+    ("POST", "@/advance", "{\"duration\":1,\"steps\":1000001}", 422, "compute_budget", None),
+    ("POST", "@/advance", "{\"duration\":1,\"max_step\":1e-7}", 422, "compute_budget", None),
+    ("POST", "@/advance", "{\"duration\":1,\"max_step\":5e-324}", 422, "compute_budget", None),
+    ("POST", "@/advance", "{\"duration\":1e100,\"steps\":4}", 422, "diverged", None),
+    ("POST", "%/advance", "{\"duration\":1e30}", 422, "diverged", None),
+    ("PATCH", "@", "{\"max_step\":0}", 422, "max_step_not_positive", Some("/max_step")),
+    ("PATCH", "@", "{\"max_step\":-1}", 422, "max_step_not_positive", Some("/max_step")),
+    ("PATCH", "@", "{\"damping_law\":\"per_step\",\"integrator\":\"exact\"}", 422, "integrator_cannot_serve_damping", None),
+    ("PUT", "/v1/worlds/fresh", "{\"damping_law\":\"per_step\"}", 422, "integrator_cannot_serve_damping", None),
+    ("PUT", "/v1/worlds/fresh", "{\"max_step\":0}", 422, "max_step_not_positive", Some("/max_step")),
+    // Limits: 8 particles, 3 worlds, 4096 bytes in the service of this test.
+    ("POST", "@/particles", "{\"count\":6}", 422, "limit_reached", None),
+    ("POST", "@/particles", "{\"count\":1000000000000}", 422, "limit_reached", None),
+    ("PUT", "/v1/worlds/third", "", 422, "limit_reached", None),
+    // Query parameters.
+    ("GET", "@?x=1", "", 422, "invalid_parameter", None),
+    ("GET", "/v1?x=1", "", 422, "invalid_parameter", None),
+    ("GET", "@/state?fields=speed", "", 422, "invalid_parameter", None),
+    ("GET", "@/state?fields=", "", 422, "invalid_parameter", None),
+    ("GET", "@/state?limit=1", "", 422, "invalid_parameter", None),
+    ("GET", "@/particles?limit=0", "", 422, "invalid_parameter", None),
+    ("GET", "@/particles?limit=100001", "", 422, "invalid_parameter", None),
+    ("GET", "@/particles?limit=1&limit=1", "", 422, "invalid_parameter", None),
+    ("GET", "@/particles?ids=a", "", 422, "invalid_parameter", None),
+    ("GET", "@/particles?after=-1", "", 422, "invalid_parameter", None),
+    ("POST", "@/advance?x=1", "{\"duration\":1}", 422, "invalid_parameter", None),
+    ("DELETE", "@?force=1", "", 422, "invalid_parameter", None),
+    ("PUT", "/v1/worlds/fresh?x=1", "", 422, "invalid_parameter", None),
+    ("GET", "/v1/worlds?limit=0", "", 422, "invalid_parameter", None),
+];
+
+/// Method, headers, status, code: refused before any body is read.
+#[rustfmt::skip]
+const HEADERS: &[(&str, &[(&str, &str)], u16, &str)] = &[
+    ("GET", &[("host", "evil.example")], 403, "host_not_allowed"),
+    ("GET", &[("host", "localhost.evil.example:80")], 403, "host_not_allowed"),
+    ("GET", &[("host", "localhost"), ("host", "localhost")], 403, "host_not_allowed"),
+    ("PUT", &[("origin", "http://evil.example")], 403, "cross_origin"),
+    ("PUT", &[("origin", "null")], 403, "cross_origin"),
+    ("PUT", &[("host", "localhost:8080"), ("origin", "http://localhost:9090")], 403, "cross_origin"),
+    ("PUT", &[("host", "localhost:8080"), ("origin", "https://localhost:8080")], 403, "cross_origin"),
+    ("GET", &[("sec-fetch-site", "cross-site")], 403, "cross_origin"),
+    ("PUT", &[("content-type", "application/cbor")], 415, "unsupported_media_type"),
+    ("PUT", &[("content-type", "image/png")], 415, "unsupported_media_type"),
+    ("PUT", &[("content-encoding", "gzip")], 415, "unsupported_media_type"),
+    ("GET", &[("accept", "text/html")], 406, "not_acceptable"),
+    ("GET", &[("accept", "application/json;q=0")], 406, "not_acceptable"),
+    ("PUT", &[("if-match", "\"77\"")], 412, "revision_mismatch"),
+    ("PUT", &[("if-match", "W/\"5\"")], 412, "revision_mismatch"),
+];
+
+fn prepare(service: &Service) -> Client {
+    let mut client = service.client();
+    for (world, precision, large) in [("double", "double", "1e308"), ("single", "single", "3e38")] {
+        let path = format!("/v1/worlds/{world}");
+        let settings =
+            format!("{{\"integrator\":\"newton_euler\",\"precision\":\"{precision}\",\"gravity\":\"standard\"}}");
+        client.put(&path, &settings).expect(201);
+        let particles =
+            "[{\"damping\":0.5},{\"velocity\":[LARGE,0,0]},{\"inverse_mass\":0},{}]".replace("LARGE", large);
+        client.post(&format!("{path}/particles"), &particles).expect(201);
+        client.post(&format!("{path}/particles/0/force"), "{\"force\":[1,2,3]}").expect(200);
+        client.delete(&format!("{path}/particles/3")).expect(204);
+    }
+    client
+}
+
+fn everything(client: &mut Client) -> Vec<String> {
+    ["/v1/worlds", "/v1/worlds/double/particles", "/v1/worlds/single/particles"]
+        .map(|path| client.get(path).expect(200).text().to_owned())
+        .to_vec()
+}
+
+#[track_caller]
+fn check_refused(
+    client: &mut Client,
+    before: &[String],
+    request: (&str, &str, &[(&str, &str)], &str),
+    expected: (u16, &str, Option<&str>),
+) {
+    let (method, path, headers, body) = request;
+    let (status, code, pointer) = expected;
+    let path = path.replace('@', "/v1/worlds/double").replace('%', "/v1/worlds/single");
+    let sent = (method != "GET" && method != "DELETE").then_some(body.as_bytes());
+    let answer = client.send(method, &path, headers, sent);
+    let context = format!("{method} {path} {headers:?} {body}: {}", answer.text());
+    assert_eq!(answer.status, status, "{context}");
+    assert_eq!(answer.header("content-type"), Some("application/problem+json"), "{context}");
+    let problem: Value = answer.json();
+    assert_eq!(problem["code"], code, "{context}");
+    assert_eq!(problem["pointer"].as_str(), pointer, "{context}");
+    assert_eq!(everything(client), before, "{context} changed something");
+}
+
+#[test]
+fn refusals_say_why_and_change_nothing() {
+    let service = Service::with(|config| {
+        config.particles_max = 8;
+        config.worlds_max = 2;
+        config.body_bytes_max = 4096;
+    });
+    let mut client = prepare(&service);
+    let before = everything(&mut client);
+    for &(method, path, body, status, code, pointer) in ROWS {
+        check_refused(&mut client, &before, (method, path, &[], body), (status, code, pointer));
+    }
+    for &(method, headers, status, code) in HEADERS {
+        let path = if method == "GET" { "@" } else { "@/particles/0/mass" };
+        check_refused(&mut client, &before, (method, path, headers, "{\"mass\":3}"), (status, code, None));
+    }
+    let diverged = client.post("/v1/worlds/double/advance", "{\"duration\":1e100,\"steps\":4}").json();
+    let place = [&diverged["particle"], &diverged["quantity"], &diverged["step"]];
+    assert_eq!(place.map(ToString::to_string), ["1", "\"position\"", "1"], "{diverged}");
+    // What one connection cannot go on after.
+    let large = format!("{{\"mass\":{}1}}", " ".repeat(5000));
+    for request in [
+        format!(
+            "PUT /v1/worlds/double/particles/0/mass HTTP/1.1\r\nhost: x.localhost\r\ncontent-length: {}\r\n\r\n{large}",
+            large.len()
+        ),
+        format!(
+            "PUT /v1/worlds/double/particles/0/mass HTTP/1.1\r\nhost: localhost\r\ntransfer-encoding: chunked\r\n\r\n{:x}\r\n{large}\r\n0\r\n\r\n",
+            large.len()
+        ),
+        "PUT /v1/worlds/nowhere HTTP/1.1\r\nhost: localhost\r\ncontent-length: 99999999999\r\n\r\n".to_owned(),
+    ] {
+        let mut client = service.client();
+        client.raw(request.as_bytes());
+        let answer = client.answer(false);
+        assert_eq!((answer.status, answer.json()["code"].as_str()), (413, Some("body_too_large")), "{}", answer.text());
+        assert!(answer.text().contains("--body-bytes-max"), "{}", answer.text());
+    }
+    assert_eq!(everything(&mut client), before);
+}
+
+/// The codes that need more than one request each have a test that names them here.
+#[test]
+fn every_code_is_seen() {
+    let elsewhere = [
+        "unauthorized",      // access.rs
+        "body_timeout",      // connections.rs
+        "body_too_large",    // above
+        "shutting_down",     // command_line.rs
+        "internal_error",    // src/server/mod.rs
+        "world_quarantined", // src/server/slot.rs
+        "removed_twice",     // no route removes several yet
+        "limit_reached",     // above
+    ];
+    let seen: HashSet<&str> =
+        ROWS.iter().map(|row| row.4).chain(HEADERS.iter().map(|row| row.3)).chain(elsewhere).collect();
+    let service = Service::start();
+    let mut client = service.client();
+    let description = client.get("/openapi.json").expect(200).json();
+    let all: HashSet<String> = description["components"]["schemas"]["ProblemCode"]["enum"]
+        .as_array()
+        .expect("the list of codes")
+        .iter()
+        .map(|code| code.as_str().expect("a word").to_owned())
+        .collect();
+    let seen: HashSet<String> = seen.into_iter().map(str::to_owned).collect();
+    assert_eq!(seen, all);
+    for code in all {
+        assert!(client.get(&format!("/problems/{code}")).expect(200).text().len() > 40, "{code} is explained");
+    }
+}
+
+/// When several things are wrong, the first of the contract's order answers.
+#[test]
+fn the_first_thing_wrong_answers() {
+    let service = Service::with(|config| config.body_bytes_max = 64);
+    let mut client = service.client();
+    client.put("/v1/worlds/a", "").expect(201);
+    client.post("/v1/worlds/a/particles", "{}").expect(201);
+    let wrong = [("origin", "http://evil.example"), ("content-type", "image/png"), ("if-match", "\"9\"")];
+    let path = "/v1/worlds/a/particles/0/mass?x=1";
+    let mut code = |path: &str, headers: &[(&str, &str)], body: &str| {
+        client.send("PUT", path, headers, Some(body.as_bytes())).json()["code"].as_str().expect("a code").to_owned()
+    };
+    assert_eq!(code("/nowhere", &wrong, "{"), "cross_origin");
+    assert_eq!(code("/nowhere", &wrong[1..], "{"), "unknown_route");
+    assert_eq!(code("/v1/worlds/a/advance", &wrong[1..], "{"), "method_not_allowed");
+    assert_eq!(code("/v1/worlds/b/particles/9/mass?x=1", &wrong[1..], "{"), "unsupported_media_type");
+    assert_eq!(code("/v1/worlds/b/particles/9/mass?x=1", &wrong[2..], "{"), "unknown_world");
+    assert_eq!(code("/v1/worlds/a/particles/9/mass?x=1", &wrong[2..], "{"), "unknown_particle");
+    assert_eq!(code(path, &wrong[2..], "{"), "malformed_json");
+    assert_eq!(code(path, &wrong[2..], "{\"mass\":\"x\"}"), "revision_mismatch");
+    assert_eq!(code(path, &[], "{\"mass\":\"x\"}"), "invalid_field");
+}

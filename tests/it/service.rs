@@ -1,0 +1,281 @@
+//! A service on a real socket, and a client that is nobody's library: what it sends and reads is plain HTTP/1.1 text.
+
+use std::collections::HashMap;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+
+use pointmass::server::{App, Config, Listener, serve};
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+use tokio::sync::oneshot;
+
+/// A running service. It ends, and its threads with it, when this is dropped.
+pub struct Service {
+    pub address: SocketAddr,
+    stop: Option<oneshot::Sender<()>>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Service {
+    pub fn start() -> Self {
+        Self::with(|_| {})
+    }
+
+    /// With some settings changed.
+    pub fn with(change: impl FnOnce(&mut Config)) -> Self {
+        let mut config = Config { listen: vec!["127.0.0.1:0".to_owned()], ..Config::default() };
+        change(&mut config);
+        let (stop, stopped) = oneshot::channel();
+        let (tell, told) = std::sync::mpsc::channel();
+        let thread = std::thread::spawn(move || {
+            let runtime = tokio::runtime::Builder::new_multi_thread()
+                .worker_threads(config.workers)
+                .max_blocking_threads(config.threads)
+                .enable_all()
+                .build()
+                .expect("a runtime");
+            runtime.block_on(async {
+                let listener = Listener::bind(&config.listen[0], &config).await.expect("a free port");
+                let Listener::Tcp(socket) = &listener else { panic!("the tests bind TCP") };
+                tell.send(socket.local_addr().expect("bound")).expect("the test waits");
+                let app = App::new(config).expect("a valid configuration");
+                serve(vec![listener], app, async {
+                    let _dropped = stopped.await;
+                })
+                .await;
+            });
+        });
+        Self { address: told.recv().expect("the address"), stop: Some(stop), thread: Some(thread) }
+    }
+
+    pub fn client(&self) -> Client {
+        Client::connect(self.address)
+    }
+}
+
+impl Drop for Service {
+    fn drop(&mut self) {
+        drop(self.stop.take());
+        if let Some(thread) = self.thread.take()
+            && thread.join().is_err()
+            && !std::thread::panicking()
+        {
+            panic!("the service panicked");
+        }
+    }
+}
+
+/// One connection. Checks every answer against what the OpenAPI description promises of its route.
+pub struct Client {
+    stream: BufReader<TcpStream>,
+    address: SocketAddr,
+}
+
+#[derive(Debug, Clone)]
+pub struct Answer {
+    pub status: u16,
+    pub headers: HashMap<String, String>,
+    pub body: Vec<u8>,
+}
+
+impl Answer {
+    pub fn text(&self) -> &str {
+        std::str::from_utf8(&self.body).expect("text")
+    }
+
+    #[track_caller]
+    pub fn json(&self) -> Value {
+        self.typed()
+    }
+
+    #[track_caller]
+    pub fn typed<T: DeserializeOwned>(&self) -> T {
+        serde_json::from_slice(&self.body).unwrap_or_else(|error| panic!("{error} in {:?}", self.text()))
+    }
+
+    pub fn header(&self, name: &str) -> Option<&str> {
+        self.headers.get(name).map(String::as_str)
+    }
+
+    #[track_caller]
+    pub fn expect(self, status: u16) -> Self {
+        assert_eq!(self.status, status, "{}", self.text());
+        self
+    }
+}
+
+impl Client {
+    pub fn connect(address: SocketAddr) -> Self {
+        let stream = TcpStream::connect(address).expect("the service listens");
+        stream.set_nodelay(true).expect("a socket");
+        stream.set_read_timeout(Some(Duration::from_secs(60))).expect("a socket");
+        Self { stream: BufReader::new(stream), address }
+    }
+
+    #[track_caller]
+    pub fn get(&mut self, path: &str) -> Answer {
+        self.send("GET", path, &[], None)
+    }
+
+    #[track_caller]
+    pub fn put(&mut self, path: &str, body: &str) -> Answer {
+        self.send("PUT", path, &[], Some(body.as_bytes()))
+    }
+
+    #[track_caller]
+    pub fn post(&mut self, path: &str, body: &str) -> Answer {
+        self.send("POST", path, &[], Some(body.as_bytes()))
+    }
+
+    #[track_caller]
+    pub fn patch(&mut self, path: &str, body: &str) -> Answer {
+        self.send("PATCH", path, &[], Some(body.as_bytes()))
+    }
+
+    #[track_caller]
+    pub fn delete(&mut self, path: &str) -> Answer {
+        self.send("DELETE", path, &[], None)
+    }
+
+    /// Sends a request with a Host of its own unless the headers have one, and reads the answer.
+    #[track_caller]
+    pub fn send(&mut self, method: &str, path: &str, headers: &[(&str, &str)], body: Option<&[u8]>) -> Answer {
+        let mut request = format!("{method} {path} HTTP/1.1\r\n");
+        if !headers.iter().any(|(name, _)| name.eq_ignore_ascii_case("host")) {
+            request += &format!("host: {}\r\n", self.address);
+        }
+        for (name, value) in headers {
+            request += &format!("{name}: {value}\r\n");
+        }
+        if let Some(body) = body {
+            request += &format!("content-length: {}\r\n", body.len());
+        }
+        request += "\r\n";
+        let mut bytes = request.into_bytes();
+        bytes.extend_from_slice(body.unwrap_or_default());
+        self.raw(&bytes);
+        let answer = self.answer(method == "HEAD");
+        check_documented(method, path, &answer);
+        answer
+    }
+
+    pub fn raw(&mut self, bytes: &[u8]) {
+        self.stream.get_mut().write_all(bytes).expect("the service reads");
+    }
+
+    /// The same to a service that may have closed the connection in the middle.
+    pub fn raw_unless_closed(&mut self, bytes: &[u8]) {
+        let _closed = self.stream.get_mut().write_all(bytes);
+    }
+
+    /// Waits for answers no longer than this.
+    pub fn impatient(&mut self, patience: Duration) {
+        self.stream.get_mut().set_read_timeout(Some(patience)).expect("a socket");
+    }
+
+    /// Reads one answer.
+    #[track_caller]
+    pub fn answer(&mut self, is_head: bool) -> Answer {
+        self.try_answer(is_head).expect("an answer")
+    }
+
+    /// `None` when the connection was closed instead.
+    pub fn try_answer(&mut self, is_head: bool) -> Option<Answer> {
+        let mut line = String::new();
+        self.stream.read_line(&mut line).ok().filter(|read| *read > 0)?;
+        let status = line.split(' ').nth(1)?.parse().ok()?;
+        let mut headers = HashMap::new();
+        loop {
+            let mut line = String::new();
+            self.stream.read_line(&mut line).ok()?;
+            let Some((name, value)) = line.trim_end().split_once(": ") else { break };
+            headers.insert(name.to_ascii_lowercase(), value.to_owned());
+        }
+        let mut body = Vec::new();
+        if headers.get("transfer-encoding").is_some_and(|encoding| encoding == "chunked") {
+            loop {
+                let mut size = String::new();
+                self.stream.read_line(&mut size).ok()?;
+                let size = usize::from_str_radix(size.trim_end(), 16).ok()?;
+                let mut chunk = vec![0; size + 2];
+                self.stream.read_exact(&mut chunk).ok()?;
+                if size == 0 {
+                    break;
+                }
+                body.extend_from_slice(&chunk[..size]);
+            }
+        } else if !is_head {
+            body = vec![0; headers.get("content-length").map_or(0, |length| length.parse().expect("a length"))];
+            self.stream.read_exact(&mut body).ok()?;
+        }
+        Some(Answer { status, headers, body })
+    }
+}
+
+fn description() -> &'static Value {
+    static DESCRIPTION: OnceLock<Value> = OnceLock::new();
+    DESCRIPTION.get_or_init(|| {
+        let service = Service::start();
+        let mut client = Client::connect(service.address);
+        client.raw(b"GET /openapi.json HTTP/1.1\r\nhost: localhost\r\n\r\n");
+        client.answer(false).json()
+    })
+}
+
+/// The description of the route that a path belongs to.
+pub fn described(method: &str, path: &str) -> Option<&'static Value> {
+    let path = path.split('?').next().expect("split has a first part");
+    let segments: Vec<&str> = path.split('/').collect();
+    let paths = description()["paths"].as_object().expect("paths");
+    let matches = |template: &str| {
+        let template: Vec<&str> = template.split('/').collect();
+        template.len() == segments.len()
+            && template.iter().zip(&segments).all(|(t, s)| t == s || (t.starts_with('{') && !s.is_empty()))
+    };
+    let (_, item) = paths.iter().find(|(template, _)| matches(template))?;
+    item.get(method.to_ascii_lowercase())
+}
+
+/// Whatever a route answers stands in its description: the status, and the code of a problem.
+#[track_caller]
+fn check_documented(method: &str, path: &str, answer: &Answer) {
+    assert!(
+        answer.header("x-request-id").is_some() || path.starts_with("/docs"),
+        "{method} {path} without a request id"
+    );
+    if !answer.body.is_empty() && !path.starts_with("/docs") {
+        assert_eq!(answer.body.last(), Some(&b'\n'), "{method} {path} without a newline at its end");
+    }
+    let method = if method == "HEAD" { "GET" } else { method };
+    let Some(operation) = described(method, path) else {
+        assert!(
+            matches!(answer.status, 403 | 404 | 405) || path.starts_with("/docs"),
+            "{method} {path} is not described"
+        );
+        return;
+    };
+    let response = &operation["responses"][answer.status.to_string()];
+    assert!(
+        response.is_object(),
+        "{method} {path} answers {}, which is not described: {}",
+        answer.status,
+        answer.text()
+    );
+    if answer.header("content-type") == Some("application/problem+json") {
+        let problem = answer.json();
+        let code = problem["code"].as_str().expect("a code");
+        let codes = response["description"].as_str().expect("a description");
+        assert!(codes.contains(&format!("`{code}`")), "{method} {path}: {code} is not among {codes}");
+        assert_eq!(problem["status"], answer.status, "{problem}");
+        assert_eq!(problem["type"], format!("/problems/{code}"), "{problem}");
+        assert!(problem["detail"].as_str().is_some_and(|detail| detail.len() > 10), "{problem}");
+    }
+}
+
+/// A service for tests that do not change its configuration and use worlds of their own.
+pub fn shared() -> Arc<Service> {
+    static SHARED: OnceLock<Arc<Service>> = OnceLock::new();
+    Arc::clone(SHARED.get_or_init(|| Arc::new(Service::start())))
+}
