@@ -214,7 +214,7 @@ impl fmt::Display for Quantity {
 pub struct Limits {
     /// The most particles; at most 2³² - 1.
     pub particles: u64,
-    /// The most steps of one advance.
+    /// The most steps of one advance; at most 2⁵³, beyond which their length would not be what it says.
     pub steps: u64,
     /// The most steps × particles of one advance.
     pub particle_steps: u64,
@@ -222,7 +222,7 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { particles: crate::ids::Ids::LEN_MAX, steps: u64::MAX, particle_steps: u64::MAX }
+        Self { particles: crate::ids::Ids::LEN_MAX, steps: 1 << 53, particle_steps: u64::MAX }
     }
 }
 

@@ -30,10 +30,11 @@ struct Table {
 #[derive(Debug, Clone)]
 struct Page {
     count: u32,
-    rows: Box<[u32; PAGE as usize]>,
+    rows: Box<[u32; PAGE_ROWS]>,
 }
 
 const PAGE: u64 = 256;
+const PAGE_ROWS: usize = 256;
 const NO_ROW: u32 = u32::MAX;
 
 impl Ids {
@@ -124,7 +125,7 @@ impl Table {
 
     fn set_row(&mut self, id: u64, row: u32) {
         let page =
-            self.pages.entry(id / PAGE).or_insert_with(|| Page { count: 0, rows: Box::new([NO_ROW; PAGE as usize]) });
+            self.pages.entry(id / PAGE).or_insert_with(|| Page { count: 0, rows: Box::new([NO_ROW; PAGE_ROWS]) });
         let slot = &mut page.rows[Self::slot(id)];
         page.count += u32::from(*slot == NO_ROW);
         *slot = row;

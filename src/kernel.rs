@@ -28,7 +28,7 @@ pub(crate) struct Drive<R> {
 
 /// A velocity that decays into denormals would cost sixty times a normal step, and comparing it at every step would
 /// halve the speed: every so many steps and at the end is enough.
-const STEPS_BETWEEN_RESTS: u64 = 64;
+pub(crate) const STEPS_BETWEEN_RESTS: u64 = 64;
 
 /// Takes `steps` steps.
 pub(crate) fn advance<R: Real>(step: Step<R>, drive: &Drive<R>, steps: u64, p: &mut [R; 3], v: &mut [R; 3]) {
@@ -45,20 +45,6 @@ pub(crate) fn advance<R: Real>(step: Step<R>, drive: &Drive<R>, steps: u64, p: &
     }
 }
 
-/// The first step, from 1, after which the position or the velocity is not finite.
-pub(crate) fn first_non_finite<R: Real>(
-    step: Step<R>,
-    drive: &Drive<R>,
-    steps: u64,
-    mut p: [R; 3],
-    mut v: [R; 3],
-) -> Option<(u64, Quantity)> {
-    (1..=steps).find_map(|n| {
-        one_step(step, drive, &mut p, &mut v);
-        non_finite(&p, &v).map(|quantity| (n, quantity))
-    })
-}
-
 /// Which of the two is not finite, position before velocity.
 pub(crate) fn non_finite<R: Real>(p: &[R; 3], v: &[R; 3]) -> Option<Quantity> {
     if !p.iter().all(|x| x.is_finite()) {
@@ -73,6 +59,14 @@ pub(crate) fn non_finite<R: Real>(p: &[R; 3], v: &[R; 3]) -> Option<Quantity> {
 /// A velocity component too small to matter is a zero of its own sign.
 pub(crate) fn at_rest_below_threshold<R: Real>(v: R) -> R {
     if v.abs() < R::REST { v.signed_zero() } else { v }
+}
+
+/// Takes the `n`-th step, from 1, of an advance that is watched step by step.
+pub(crate) fn advance_one<R: Real>(step: Step<R>, drive: &Drive<R>, n: u64, p: &mut [R; 3], v: &mut [R; 3]) {
+    one_step(step, drive, p, v);
+    if drive.damped && n.is_multiple_of(STEPS_BETWEEN_RESTS) {
+        *v = v.map(at_rest_below_threshold);
+    }
 }
 
 #[inline]

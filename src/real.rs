@@ -79,8 +79,10 @@ pub trait Real:
     /// Neither infinite nor NaN.
     fn is_finite(self) -> bool;
     /// The magnitude.
+    #[must_use]
     fn abs(self) -> Self;
     /// A zero with the sign of `self`.
+    #[must_use]
     fn signed_zero(self) -> Self;
 }
 

@@ -95,8 +95,9 @@ pub struct StepPlan {
 /// Clocks stay below 2⁴⁰⁰ s, so that the square of a time is finite.
 const CLOCK_MAX: f64 = f64::from_bits((1023 + 400) << 52);
 
-/// Rows, or steps of one row, between two looks at whether an advance is cancelled: about a millisecond.
-const WORK_BETWEEN_LOOKS: u64 = 1 << 18;
+/// Rows, or steps of one row, between two looks at whether an advance is cancelled: about a millisecond. A whole
+/// number of times the steps between two rests, so that slices of an advance rest where the whole does.
+const WORK_BETWEEN_LOOKS: u64 = 4096 * kernel::STEPS_BETWEEN_RESTS;
 
 static NEVER_CANCELLED: AtomicBool = AtomicBool::new(false);
 
@@ -120,7 +121,8 @@ impl<R: Real> World<R> {
     /// # Errors
     /// As [`World::new`].
     pub fn with_limits(settings: Settings<R>, mut limits: Limits) -> Result<Self, Error> {
-        limits.particles = limits.particles.min(Ids::LEN_MAX);
+        limits.particles = limits.particles.min(Limits::default().particles);
+        limits.steps = limits.steps.min(Limits::default().steps);
         let mut world = Self {
             settings: Settings::default(),
             limits,
@@ -350,7 +352,7 @@ impl<R: Real> World<R> {
         let within = |limit, allowed, asked| {
             if asked > allowed { Err(Error::LimitReached { limit, allowed, asked }) } else { Ok(()) }
         };
-        within(Limit::Steps, self.limits.steps, asked)?;
+        within(Limit::Steps, self.limits.steps.min(u64::MAX - self.step_count), asked)?;
         let steps = if self.settings.integrator == Integrator::Exact { 1 } else { asked };
         let particle_steps = steps.saturating_mul(self.particles.len() as u64);
         within(Limit::ParticleSteps, self.limits.particle_steps, particle_steps)?;
@@ -615,21 +617,34 @@ impl<R: Real> World<R> {
         let mut diverged: Option<(ParticleId, usize)> = None;
         let mut work = 0;
         for (row, (p, v)) in position.iter_mut().zip(&mut velocity).enumerate() {
-            look(&mut work, plan.steps, cancelled)?;
+            look(&mut work, 1, cancelled)?;
             if particles.is_resting(row) {
                 continue;
             }
-            kernel::advance(step, &drive(row), plan.steps, p, v);
+            let drive = drive(row);
+            let mut left = plan.steps;
+            while left > 0 {
+                let slice = left.min(WORK_BETWEEN_LOOKS);
+                kernel::advance(step, &drive, slice, p, v);
+                look(&mut work, slice, cancelled)?;
+                left -= slice;
+            }
             if kernel::non_finite(p, v).is_some() {
                 let id = self.ids.id(row);
                 diverged = Some(diverged.map_or((id, row), |smallest| smallest.min((id, row))));
             }
         }
         if let Some((particle, row)) = diverged {
-            let (p, v) = (particles.position[row], particles.velocity[row]);
-            let (step, quantity) = kernel::first_non_finite(step, &drive(row), plan.steps, p, v)
-                .expect("what is not finite once stays so");
-            return Err(Error::Diverged { particle, quantity, step });
+            let (mut p, mut v) = (particles.position[row], particles.velocity[row]);
+            let drive = drive(row);
+            for n in 1..=plan.steps {
+                look(&mut work, 1, cancelled)?;
+                kernel::advance_one(step, &drive, n, &mut p, &mut v);
+                if let Some(quantity) = kernel::non_finite(&p, &v) {
+                    return Err(Error::Diverged { particle, quantity, step: n });
+                }
+            }
+            unreachable!("the same steps end the same way, and what is not finite once stays so");
         }
         self.particles.position = position;
         self.particles.velocity = velocity;

@@ -23,7 +23,6 @@ pub(crate) const PAGE_DEFAULT: usize = 1000;
 #[derive(Debug, Parser)]
 #[command(
     version,
-    about,
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true,
     after_help = "\
@@ -79,7 +78,7 @@ pub struct Config {
     /// A name that the Host header may have besides loopback names and addresses; repeatable.
     #[arg(long, value_name = "NAME", env = "POINTMASS_ALLOW_HOST", value_delimiter = ',')]
     pub allow_host: Vec<String>,
-    /// A web origin, like https://example.org, whose pages may use the service; repeatable.
+    /// A web origin, like <https://example.org>, whose pages may use the service; repeatable.
     #[arg(long, value_name = "ORIGIN", env = "POINTMASS_ALLOW_ORIGIN", value_delimiter = ',')]
     pub allow_origin: Vec<String>,
     /// A file with one token a line; every request but health checks must carry one of them.

@@ -22,6 +22,7 @@ use crate::server::problem::{Code, Problem};
 pub(crate) struct Target {
     pub(crate) world: String,
     /// `Some(None)`: something that cannot be an id.
+    #[expect(clippy::option_option, reason = "no particle in the path, no id, and an id are three things")]
     particle: Option<Option<ParticleId>>,
 }
 

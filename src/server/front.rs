@@ -65,6 +65,7 @@ impl RequestIds {
 }
 
 /// A panic is a defect; it costs one request.
+#[expect(clippy::needless_pass_by_value, reason = "the layer hands it over")]
 pub(crate) fn on_panic(panic: Box<dyn std::any::Any + Send>) -> Response {
     let message = panic.downcast_ref::<&str>().copied().or_else(|| panic.downcast_ref::<String>().map(String::as_str));
     tracing::error!(message = message.unwrap_or("not a text"), "panic");

@@ -295,7 +295,7 @@ mod tests {
             let (low, high) = (f32::from_bits(bits), f32::from_bits(bits + 1));
             let middle = f64::midpoint(f64::from(low), f64::from(high));
             // A hair above the middle, by less than a double can hold.
-            let text = format!("{:.200}", middle).trim_end_matches('0').to_owned() + "0000000000000000000001";
+            let text = format!("{middle:.200}").trim_end_matches('0').to_owned() + "0000000000000000000001";
             if middle > 1e-30 && middle < 1e30 {
                 prop_assert_eq!(parse::<f32>(text.as_bytes()).expect(&text).to_bits(), high.to_bits(), "{}", text);
             }

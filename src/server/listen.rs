@@ -63,10 +63,12 @@ impl Listener {
     pub async fn bind(address: &str, config: &Config) -> Result<Self, ListenError> {
         let refused = |source| ListenError::Refused { address: address.to_owned(), source };
         if let Some(path) = address.strip_prefix("unix:") {
-            return bind_unix(Path::new(path)).await.map_err(|error| match error.kind() {
-                io::ErrorKind::AddrInUse => ListenError::InUse { address: address.to_owned() },
-                _ => refused(error),
-            });
+            return match bind_unix(Path::new(path)).await {
+                Err(error) if error.kind() == io::ErrorKind::AddrInUse => {
+                    Err(ListenError::InUse { address: address.to_owned() })
+                }
+                bound => bound.map_err(refused),
+            };
         }
         let open = config.token_file.is_none() && !config.insecure_no_auth;
         let addresses: Vec<_> = tokio::net::lookup_host(address).await.map_err(refused)?.collect();
@@ -120,7 +122,8 @@ pub async fn serve(listeners: Vec<Listener>, app: Arc<App>, shutdown: impl Futur
     tracing::info!("finishing what is in flight");
     stop.send_replace(());
     while accepting.join_next().await.is_some() {}
-    let connections = Arc::into_inner(connections).expect("the accept loops, which had the others, have ended");
+    // The accept loops, which had the other handles, have ended.
+    let Some(connections) = Arc::into_inner(connections) else { return };
     let drained = connections.graceful.shutdown();
     if tokio::time::timeout(Duration::from_millis(app.config.drain_timeout_ms), drained).await.is_err() {
         tracing::warn!("gave up on requests that outlasted --drain-timeout-ms");

@@ -37,7 +37,7 @@ impl Metrics {
         self.particle_steps.inc_by(advanced.steps * advanced.integrated as u64);
     }
 
-    /// OpenMetrics text.
+    /// `OpenMetrics` text.
     pub(crate) fn text(&self, worlds: usize) -> String {
         let mut registry = Registry::with_prefix("pointmass");
         registry.register("answers", "Requests answered, by route and status", self.answers.clone());

@@ -1,10 +1,10 @@
-//! The OpenAPI description: paths and bodies come from the routes, what all of them share is added here.
+//! The `OpenAPI` description: paths and bodies come from the routes, what all of them share is added here.
 
 use std::sync::Arc;
 
 use axum::Router;
 use utoipa::openapi::header::Header;
-use utoipa::openapi::path::{Operation, Parameter, ParameterBuilder, ParameterIn};
+use utoipa::openapi::path::{HttpMethod, Operation, OperationBuilder, Parameter, ParameterBuilder, ParameterIn};
 use utoipa::openapi::schema::{Object, Schema, Type};
 use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{
@@ -56,14 +56,27 @@ pub(crate) fn document(mut api: OpenApi) -> Vec<u8> {
         )),
     );
     api.security = Some(vec![SecurityRequirement::default(), SecurityRequirement::new("token", Vec::<String>::new())]);
+    api.paths.paths.insert("/docs/".to_owned(), PathItem::new(HttpMethod::Get, docs_operation()));
     for (path, item) in &mut api.paths.paths {
         for (method, operation) in operations(item) {
             complete(path, method, operation);
         }
     }
-    let mut text = api.to_pretty_json().expect("a description is plain data").into_bytes();
-    text.push(b'\n');
-    text
+    // Shapes are generic over the precision; the description shows them once, without the name of the type.
+    let text = api.to_pretty_json().expect("a description is plain data").replace("_f64", "");
+    (text + "\n").into_bytes()
+}
+
+/// The page comes from a library, so that its description stands here.
+fn docs_operation() -> Operation {
+    let content = ContentBuilder::new().schema(Some(Schema::Object(Object::with_type(Type::String)))).build();
+    let page = ResponseBuilder::new().description("A page").content("text/html", content);
+    OperationBuilder::new()
+        .operation_id(Some("docs"))
+        .tag("service")
+        .summary(Some("A page over this description"))
+        .response("200", page)
+        .build()
 }
 
 const INTRODUCTION: &str = "Worlds of point-mass particles: create, set, advance by a duration, read. \

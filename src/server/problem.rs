@@ -287,8 +287,9 @@ impl Problem {
         let at = |code, place: Place| Self::at(code, shape.pointer(place), detail.clone());
         let whole = |code, field: &str| Self::at(code, format!("/{field}"), detail.clone());
         match error {
-            Error::NotFinite(place) | Error::MassTooSmall(place) => at(Code::NotFinite, place),
-            Error::Overflow { place, .. } => at(Code::NotFinite, place),
+            Error::NotFinite(place) | Error::MassTooSmall(place) | Error::Overflow { place, .. } => {
+                at(Code::NotFinite, place)
+            }
             Error::MassNotPositive(place) => at(Code::MassNotPositive, place),
             Error::InverseMassNegative(place) => at(Code::InverseMassNegative, place),
             Error::DampingOutOfRange(place) => at(Code::DampingOutOfRange, place),
@@ -360,14 +361,11 @@ impl IntoResponse for Problem {
         .expect("strings and whole numbers are always JSON");
         body.push(b'\n');
         let mut response = (status, [(header::CONTENT_TYPE, "application/problem+json")], body).into_response();
-        match self.code {
-            Code::Unauthorized => {
-                response.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
-            }
-            Code::ShuttingDown => {
-                response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("1"));
-            }
-            _ => {}
+        if self.code == Code::Unauthorized {
+            response.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+        }
+        if self.code == Code::ShuttingDown {
+            response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("1"));
         }
         response
     }

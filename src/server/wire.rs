@@ -35,7 +35,7 @@ impl Choice for DampingLaw {
     }
 }
 
-/// A vector for the OpenAPI description.
+/// A vector for the `OpenAPI` description.
 #[derive(ToSchema)]
 #[schema(as = Vector, value_type = [f64; 3], min_items = 3, max_items = 3, example = json!([0.0, 9.5, 0.0]))]
 #[expect(dead_code, reason = "stands for Vector in the description")]
@@ -99,7 +99,7 @@ pub(crate) struct Description<R: WireReal> {
     /// Steps of all advances so far.
     step_count: u64,
     particle_count: usize,
-    /// Grows by one with every accepted change; also the ETag.
+    /// Grows by one with every accepted change; also the `ETag`.
     revision: u64,
 }
 
@@ -445,7 +445,7 @@ pub(crate) struct ParticleView<R: WireReal> {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = f64)]
     damping: Option<R>,
-    /// In kg: 1/inverse_mass; null when immovable.
+    /// In kg: `1/inverse_mass`; null when immovable.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<f64>)]
     #[expect(clippy::option_option, reason = "not asked for, null and a number are three things")]

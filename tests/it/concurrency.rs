@@ -2,11 +2,10 @@
 
 use std::sync::Barrier;
 use std::thread;
-use std::time::Duration;
 
 use serde_json::json;
 
-use crate::service::{Client, Service};
+use crate::service::{Client, Service, wait_until_busy};
 
 /// Two hundred million particle-steps: much longer than any other request of these tests.
 const LONG_ADVANCE: &str = "{\"duration\":1,\"steps\":1000000}";
@@ -113,7 +112,7 @@ fn reads_wait_for_the_advance_before_them() {
         )
         .as_bytes(),
     );
-    wait_until_busy(&service, "/v1/worlds/long");
+    wait_until_busy(service.address, "/v1/worlds/long");
     // This one was accepted after the advance, so it sees its result.
     assert_eq!(service.client().get("/v1/worlds/long").expect(200).json()["time"], 1.0);
     client.answer(false).expect(200);
@@ -135,24 +134,11 @@ fn a_client_that_goes_away_leaves_the_world_as_it_was() {
         )
         .as_bytes(),
     );
-    wait_until_busy(&service, path);
+    wait_until_busy(service.address, path);
     drop(leaving);
     let description = client.get(path).expect(200).json();
     assert_eq!((&description["time"], &description["revision"]), (&json!(0.0), &json!(1)));
     assert_eq!(client.get(&format!("{path}/particles/19999")).json()["position"], json!([0.0, 0.0, 0.0]));
-}
-
-/// Waits until a read of the world does not come back at once: the advance has begun.
-fn wait_until_busy(service: &Service, path: &str) {
-    for _ in 0..1000 {
-        let mut probe = service.client();
-        probe.impatient(Duration::from_millis(50));
-        probe.raw(format!("GET {path} HTTP/1.1\r\nhost: localhost\r\n\r\n").as_bytes());
-        if probe.try_answer(false).is_none() {
-            return;
-        }
-    }
-    panic!("the advance never began");
 }
 
 #[test]
@@ -165,7 +151,7 @@ fn a_deleted_world_is_gone_for_those_who_waited() {
         LONG_ADVANCE.len()
     );
     client.raw(request.as_bytes());
-    wait_until_busy(&service, "/v1/worlds/long");
+    wait_until_busy(service.address, "/v1/worlds/long");
     thread::scope(|scope| {
         let delete = scope.spawn(|| service.client().delete("/v1/worlds/long").status);
         let mut statuses = vec![delete.join().expect("a status")];

@@ -1,7 +1,11 @@
 //! All integration tests in one binary: it links once.
 
+#![expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, reason = "scenes are made of random bits")]
+
 /// Who may come in.
 mod access;
+/// The binary as its user meets it.
+mod command_line;
 /// Many clients at once.
 mod concurrency;
 /// Clients that are slow or cut short.
@@ -10,7 +14,15 @@ mod connections;
 mod contract;
 /// The service against the library, to the bit.
 mod lockstep;
+/// The book's integrators against a transcription of their equations.
+mod naive;
+/// The OpenAPI description.
+mod openapi;
+/// Motion against closed forms, and the rules of the engine.
+mod physics;
 /// Every refusal as data.
 mod refusals;
 /// A service on a real socket, and a plain client.
 mod service;
+/// The tree itself.
+mod tidy;

@@ -737,7 +737,7 @@ fn the_bias_of_the_book_at_terminal_velocity() {
     let particle = Particle { damping: 0.5, ..Particle::default() };
     let mut world = world::<f64>(Integrator::NewtonEuler, &[particle]);
     world.advance(Advance { steps: Some(6000), ..Advance::by(100.0) }).expect("small numbers");
-    let (k, x) = (2f64.ln(), 2f64.ln() / 60.0);
+    let (k, x) = (std::f64::consts::LN_2, std::f64::consts::LN_2 / 60.0);
     let bias = state(&world, 0).velocity.y / (-9.75 / k) - 1.0;
     let formula = x / x.exp_m1() - 1.0;
     assert!((bias - formula).abs() < 4.0 * 86.0 * f64::EPSILON, "{bias:e}, not {formula:e}");

@@ -7,10 +7,13 @@ use serde_json::Value;
 
 use crate::service::{Client, Service};
 
+type Row = (&'static str, &'static str, &'static str, u16, &'static str, Option<&'static str>);
+type HeaderRow = (&'static str, &'static [(&'static str, &'static str)], u16, &'static str);
+
 /// Method, path, body, status, code, pointer. `@` stands for a world in double, `%` for one in single, both with the
-/// particles 0 to 3 of which 3 is removed, under newton_euler.
+/// particles 0 to 3 of which 3 is removed, under `newton_euler`.
 #[rustfmt::skip]
-const ROWS: &[(&str, &str, &str, u16, &str, Option<&str>)] = &[
+const ROWS: &[Row] = &[
     // Routes and methods.
     ("GET", "/", "", 404, "unknown_route", None),
     ("GET", "/v2/worlds", "", 404, "unknown_route", None),
@@ -177,7 +180,7 @@ const ROWS: &[(&str, &str, &str, u16, &str, Option<&str>)] = &[
 
 /// Method, headers, status, code: refused before any body is read.
 #[rustfmt::skip]
-const HEADERS: &[(&str, &[(&str, &str)], u16, &str)] = &[
+const HEADERS: &[HeaderRow] = &[
     ("GET", &[("host", "evil.example")], 403, "host_not_allowed"),
     ("GET", &[("host", "localhost.evil.example:80")], 403, "host_not_allowed"),
     ("GET", &[("host", "localhost"), ("host", "localhost")], 403, "host_not_allowed"),

@@ -71,7 +71,7 @@ async fn add_force(State(app): State<Arc<App>>, change: Change) -> Result<Respon
 
 /// Applies an impulse
 ///
-/// Changes the velocity at once, by impulse x inverse_mass.
+/// Changes the velocity at once, by impulse x `inverse_mass`.
 #[utoipa::path(post, path = "/v1/worlds/{world}/particles/{id}/impulse", tag = "forces", request_body = ImpulseBody<f64>,
     responses((status = 200, body = ParticleView<f64>, headers(("etag" = String)))))]
 async fn apply_impulse(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {

@@ -91,6 +91,7 @@ struct Particles<R: WireReal> {
     /// The clock in seconds.
     time: f64,
     #[schema(value_type = Vec<ParticleView<f64>>)]
+    #[expect(clippy::struct_field_names, reason = "the name in JSON")]
     particles: Vec<ParticleView<R>>,
     /// The `after` of the next page; null on the last one.
     #[schema(required)]

@@ -115,7 +115,7 @@ async fn readyz(State(app): State<Arc<App>>) -> Result<Response, Problem> {
     Ok(Reply::ok(json::write(&Health { status: "ready" })).into_response(None))
 }
 
-/// Counters as OpenMetrics text
+/// Counters as `OpenMetrics` text
 #[utoipa::path(get, path = "/metrics", tag = "service",
     responses((status = 200, body = String, content_type = "application/openmetrics-text")))]
 async fn metrics(State(app): State<Arc<App>>) -> Response {

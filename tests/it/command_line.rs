@@ -1,0 +1,257 @@
+//! The binary as its user meets it: flags, variables, start-up lines, signals, exit codes.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::SocketAddr;
+use std::os::unix::net::UnixStream;
+use std::path::PathBuf;
+use std::process::{Child, Command, Output, Stdio};
+
+use serde_json::json;
+
+use crate::service::{Client, wait_until_busy};
+
+fn pointmass() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_pointmass"));
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+fn output(arguments: &[&str]) -> Output {
+    pointmass().args(arguments).output().expect("the binary starts")
+}
+
+/// A running service of the binary; killed when it is dropped.
+pub(crate) struct Running {
+    child: Child,
+    lines: BufReader<std::process::ChildStdout>,
+}
+
+impl Running {
+    pub(crate) fn start(mut command: Command) -> Self {
+        let mut child = command.spawn().expect("the binary starts");
+        let lines = BufReader::new(child.stdout.take().expect("piped"));
+        Self { child, lines }
+    }
+
+    /// The next start-up line.
+    pub(crate) fn listening_on(&mut self) -> String {
+        let mut line = String::new();
+        self.lines.read_line(&mut line).expect("a line");
+        let url = line.strip_prefix("pointmass listening on ").unwrap_or_else(|| panic!("{line:?}"));
+        url.trim_end().to_owned()
+    }
+
+    pub(crate) fn address(&mut self) -> SocketAddr {
+        let url = self.listening_on();
+        url.strip_prefix("http://").expect("a TCP listener").parse().expect("an address")
+    }
+
+    fn signal(&self, name: &str) {
+        let kill = format!("kill -{name} {}", self.child.id());
+        assert!(Command::new("sh").args(["-c", &kill]).status().expect("a shell").success());
+    }
+
+    /// The exit code, what else it wrote to standard output, and its log.
+    fn end(mut self) -> (Option<i32>, String, String) {
+        let status = self.child.wait().expect("it ends");
+        let (mut out, mut log) = (String::new(), String::new());
+        self.lines.read_to_string(&mut out).expect("text");
+        self.child.stderr.take().expect("piped").read_to_string(&mut log).expect("text");
+        (status.code(), out, log)
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ended = self.child.kill();
+        let _reaped = self.child.wait();
+    }
+}
+
+fn temporary(name: &str) -> PathBuf {
+    std::env::temp_dir().join(format!("pointmass-{}-{name}", std::process::id()))
+}
+
+#[test]
+fn it_listens_where_it_is_told_and_says_so_in_order() {
+    let socket = temporary("a.sock");
+    let unix = format!("unix:{}", socket.display());
+    for words in [&["serve"][..], &[]] {
+        let mut command = pointmass();
+        command.args(words).args(["--listen", "127.0.0.1:0", "--listen", &unix, "--listen", "localhost:0"]);
+        let mut running = Running::start(command);
+        let first = running.address();
+        assert_eq!(running.listening_on(), unix);
+        let third = running.address();
+        Client::connect(first).put("/v1/worlds/a", "").expect(201);
+        assert_eq!(Client::connect(third).get("/v1/worlds/a").expect(200).json()["revision"], 0);
+        let mut stream = UnixStream::connect(&socket).expect("it listens");
+        stream.write_all(b"GET /v1/worlds/a HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\r\n").expect("open");
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).expect("an answer");
+        assert!(answer.starts_with("HTTP/1.1 200 OK") && answer.contains("\"revision\":0"), "{answer}");
+        running.signal("TERM");
+        let (code, out, log) = running.end();
+        assert_eq!((code, out.as_str()), (Some(0), ""), "{log}");
+        assert!(!socket.exists(), "the socket is removed");
+    }
+}
+
+#[test]
+fn a_socket_left_behind_is_taken_over_and_one_in_use_is_not() {
+    let socket = temporary("b.sock");
+    let unix = format!("unix:{}", socket.display());
+    drop(std::os::unix::net::UnixListener::bind(&socket).expect("a socket"));
+    let mut command = pointmass();
+    command.args(["--listen", &unix]);
+    let mut running = Running::start(command);
+    assert_eq!(running.listening_on(), unix);
+    let second = output(&["--listen", &unix]);
+    assert_eq!(second.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&second.stderr).contains("a service answers there already"));
+    let plain = temporary("c.file");
+    std::fs::write(&plain, "precious").expect("a file");
+    assert_eq!(output(&["--listen", &format!("unix:{}", plain.display())]).status.code(), Some(1));
+    assert_eq!(std::fs::read_to_string(&plain).expect("still there"), "precious");
+    std::fs::remove_file(&plain).expect("ours");
+    running.signal("INT");
+    assert_eq!(running.end().0, Some(0));
+}
+
+#[test]
+fn signals_finish_what_is_in_flight() {
+    for signal in ["TERM", "INT"] {
+        let mut command = pointmass();
+        command.args(["--listen", "127.0.0.1:0", "--log-format", "json"]);
+        let mut running = Running::start(command);
+        let address = running.address();
+        let mut client = Client::connect(address);
+        client.put("/v1/worlds/a", "{\"integrator\":\"newton_euler\"}").expect(201);
+        client.post("/v1/worlds/a/particles", "{\"count\":1000,\"velocity\":[1,0,0]}").expect(201);
+        let mut idle = Client::connect(address);
+        idle.get("/healthz").expect(200);
+        let body = "{\"duration\":1,\"steps\":1000000}";
+        client.raw(
+            format!(
+                "POST /v1/worlds/a/advance HTTP/1.1\r\nhost: localhost\r\ncontent-length: {}\r\n\r\n{body}",
+                body.len()
+            )
+            .as_bytes(),
+        );
+        wait_until_busy(address, "/v1/worlds/a");
+        running.signal(signal);
+        let answer = client.answer(false).expect(200);
+        assert_eq!(answer.json()["step_count"], 1_000_000);
+        assert!(idle.try_answer(false).is_none(), "idle connections are closed");
+        let (code, _, log) = running.end();
+        assert_eq!(code, Some(0), "{log}");
+        for line in log.lines() {
+            let line: serde_json::Value = serde_json::from_str(line).expect("a log line is JSON");
+            assert_eq!(line["level"], "INFO", "{line}");
+        }
+    }
+}
+
+#[test]
+fn a_second_signal_ends_it_at_once() {
+    let mut command = pointmass();
+    command.args(["--listen", "127.0.0.1:0"]);
+    let mut running = Running::start(command);
+    let mut half = Client::connect(running.address());
+    half.get("/healthz").expect(200);
+    half.raw(b"POST /v1/worlds HTTP/1.1\r\nhost: localhost\r\ncontent-length: 5\r\n\r\n{");
+    // Whoever is answered after the half request was accepted after it.
+    half.impatient(std::time::Duration::from_millis(100));
+    assert!(half.try_answer(false).is_none());
+    running.signal("TERM");
+    running.signal("TERM");
+    assert_ne!(running.end().0, Some(0));
+}
+
+#[test]
+fn beyond_loopback_it_wants_a_token_or_a_clear_word() {
+    let refused = output(&["--listen", "0.0.0.0:0"]);
+    assert_eq!(refused.status.code(), Some(1));
+    let message = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(message.contains("--token-file") && message.contains("--insecure-no-auth"), "{message}");
+    let tokens = temporary("tokens");
+    std::fs::write(&tokens, "# none\n").expect("a file");
+    let path = tokens.display().to_string();
+    let empty = output(&["--listen", "0.0.0.0:0", "--token-file", &path]);
+    assert!(String::from_utf8_lossy(&empty.stderr).contains("has no token"));
+    std::fs::write(&tokens, "0123456789abcdef0123456789abcdef\n").expect("a file");
+    for arguments in [["--token-file", path.as_str()].as_slice(), &["--insecure-no-auth"]] {
+        let mut command = pointmass();
+        command.args(["--listen", "0.0.0.0:0"]).args(arguments);
+        let mut running = Running::start(command);
+        let port = running.address().port();
+        let status = Client::connect(([127, 0, 0, 1], port).into()).get("/v1").status;
+        assert_eq!(status, if arguments.len() == 2 { 401 } else { 200 });
+    }
+    std::fs::remove_file(&tokens).expect("ours");
+}
+
+#[test]
+fn a_flag_wins_over_its_variable() {
+    let mut command = pointmass();
+    command.env("POINTMASS_LISTEN", "127.0.0.1:0").env("POINTMASS_STEPS_MAX", "5").env("POINTMASS_WORLDS_MAX", "6");
+    command.args(["--worlds-max", "7"]);
+    let mut running = Running::start(command);
+    let limits = Client::connect(running.address()).get("/v1").json()["limits"].clone();
+    assert_eq!((&limits["steps_max"], &limits["worlds_max"]), (&json!(5), &json!(7)));
+}
+
+#[test]
+fn every_option_has_a_variable_and_stands_in_the_help() {
+    let help = output(&["serve", "--help"]);
+    let help = String::from_utf8_lossy(&help.stdout).into_owned();
+    let mut options = 0;
+    for line in help.lines().filter(|line| line.trim_start().starts_with("--")) {
+        let flag = line.trim_start().trim_start_matches("--").split([' ', '=']).next().expect("a name");
+        let variable = match flag {
+            "log" => "POINTMASS_LOG".to_owned(),
+            flag => format!("POINTMASS_{}", flag.to_uppercase().replace('-', "_")),
+        };
+        assert!(help.contains(&format!("[env: {variable}=")), "--{flag} has no {variable}:\n{help}");
+        options += 1;
+    }
+    assert!(options >= 18, "{options} options in\n{help}");
+    assert!(output(&["--help"]).stdout.starts_with(b"Worlds of point-mass particles over HTTP"));
+    assert_eq!(output(&["--version"]).stdout, format!("pointmass {}\n", env!("CARGO_PKG_VERSION")).into_bytes());
+}
+
+#[test]
+fn wrong_words_are_explained() {
+    for (arguments, code, words) in [
+        (&["--listen", "nonsense"][..], 1, "cannot listen on nonsense"),
+        (&["--listen", "127.0.0.1:99999"], 1, "cannot listen on 127.0.0.1:99999"),
+        (&["--listen", "unix:/nowhere/at/all.sock"], 1, "cannot listen on unix:/nowhere/at/all.sock"),
+        (&["--token-file", "/nowhere/tokens"], 1, "cannot read the token file /nowhere/tokens"),
+        (&["--threads", "0"], 2, "must be at least 1"),
+        (&["--steps-max", "many"], 2, "--steps-max"),
+        (&["--listn", "x"], 2, "--listen"),
+        (&["start"], 2, "start"),
+        (&["--log", "a=b=c"], 1, "--log"),
+        (&["healthcheck", "--url", "ftp://localhost"], 1, "not an http:// URL"),
+    ] {
+        let output = output(arguments);
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
+        assert!(message.contains(words), "{arguments:?}: {message}");
+    }
+}
+
+#[test]
+fn healthcheck_tells_by_its_exit_code() {
+    let mut command = pointmass();
+    command.args(["--listen", "127.0.0.1:0"]);
+    let mut running = Running::start(command);
+    let url = running.listening_on();
+    assert_eq!(output(&["healthcheck", "--url", &format!("{url}/healthz")]).status.code(), Some(0));
+    assert_eq!(output(&["healthcheck", "--url", &format!("{url}/nowhere")]).status.code(), Some(1));
+    running.signal("TERM");
+    running.end();
+    let gone = output(&["healthcheck", "--url", &format!("{url}/healthz")]);
+    assert_eq!(gone.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&gone.stderr).contains("does not answer"));
+}
