@@ -52,3 +52,8 @@ pub use ids::ParticleId;
 pub use integrator::{DampingLaw, Integrator};
 pub use real::{Precision, Real};
 pub use world::{ParticleState, StepPlan, World};
+
+/// The Rust of README.md, run as a documentation test.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct ReadmeExamples;

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use clap::builder::BoolishValueParser;
 use clap::{Args, Parser, Subcommand};
 
 use crate::error::Limits;
@@ -85,7 +86,7 @@ pub struct Config {
     #[arg(long, value_name = "PATH", env = "POINTMASS_TOKEN_FILE")]
     pub token_file: Option<PathBuf>,
     /// Listen beyond loopback without tokens: whoever reaches the port may do everything.
-    #[arg(long, env = "POINTMASS_INSECURE_NO_AUTH")]
+    #[arg(long, env = "POINTMASS_INSECURE_NO_AUTH", value_parser = BoolishValueParser::new())]
     pub insecure_no_auth: bool,
     /// How to write logs to standard error.
     #[arg(long, env = "POINTMASS_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]

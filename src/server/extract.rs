@@ -66,6 +66,13 @@ impl Change {
     pub(crate) fn query<Q: DeserializeOwned>(&self) -> Result<Q, Problem> {
         query(&self.uri)
     }
+
+    /// A change without headers, for tests below the router.
+    #[cfg(test)]
+    pub(crate) fn to_world(name: &str, body: Bytes) -> Self {
+        let target = Target { world: name.to_owned(), particle: None };
+        Self { target, preconditions: Preconditions::new(&HeaderMap::new()), body, uri: Uri::from_static("/") }
+    }
 }
 
 fn query<Q: DeserializeOwned>(uri: &Uri) -> Result<Q, Problem> {

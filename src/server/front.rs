@@ -33,6 +33,7 @@ pub(crate) async fn front(State(app): State<Arc<App>>, request: Request, next: N
     let method = request.method().clone();
     let route = request.extensions().get::<MatchedPath>().cloned();
     tracing::debug!(request_id = ?id, %method, path = request.uri().path(), "request");
+    let _in_flight = app.in_flight.enter();
     let mut response = match admit(&app, &request, route.as_ref()) {
         Ok(()) => next.run(request).await,
         Err(problem) => problem.into_response(),
@@ -42,6 +43,42 @@ pub(crate) async fn front(State(app): State<Arc<App>>, request: Request, next: N
     tracing::debug!(request_id = ?id, %method, route, status = response.status().as_u16(), "answer");
     response.headers_mut().insert(REQUEST_ID, id);
     response
+}
+
+/// How many requests have begun and not ended.
+#[derive(Debug, Default)]
+pub(crate) struct InFlight {
+    count: AtomicU64,
+    ended: tokio::sync::Notify,
+}
+
+/// Counts one request while it lives: also one whose client goes away.
+struct Entered<'a>(&'a InFlight);
+
+impl InFlight {
+    fn enter(&self) -> Entered<'_> {
+        self.count.fetch_add(1, Ordering::SeqCst);
+        Entered(self)
+    }
+
+    /// Waits until there is none.
+    pub(crate) async fn none(&self) {
+        loop {
+            let ended = self.ended.notified();
+            if self.count.load(Ordering::SeqCst) == 0 {
+                return;
+            }
+            ended.await;
+        }
+    }
+}
+
+impl Drop for Entered<'_> {
+    fn drop(&mut self) {
+        if self.0.count.fetch_sub(1, Ordering::SeqCst) == 1 {
+            self.0.ended.notify_one();
+        }
+    }
 }
 
 /// Ids for requests that bring none: a random word for the process, and a count.
@@ -83,8 +120,11 @@ fn admit(app: &App, request: &Request, route: Option<&MatchedPath>) -> Result<()
         return Err(Problem::new(Code::HostNotAllowed, detail));
     }
     check_origin(headers, host, &app.config.allow_origin)?;
-    // Health checks come from machinery that has no secret, and tell none.
+    // Health checks come from machinery that has no secret, and tell none; they are answered to the end.
     let open = route.is_some_and(|route| matches!(route.as_str(), "/healthz" | "/readyz"));
+    if !open && app.draining.load(Ordering::SeqCst) {
+        return Err(Problem::plain(Code::ShuttingDown));
+    }
     match &app.tokens {
         Some(tokens) if !open && !tokens.admit(headers) => Err(Problem::plain(Code::Unauthorized)),
         Some(_) | None => Ok(()),

@@ -19,7 +19,10 @@ pub fn healthcheck(url: &str) -> Result<(), String> {
         .filter(|_| uri.scheme_str() == Some("http"))
         .ok_or_else(|| format!("{url:?} is not an http:// URL"))?;
     let port = uri.port_u16().unwrap_or(80);
-    let failed = |error: std::io::Error| format!("{url} does not answer: {error}");
+    let failed = |error: std::io::Error| match error.kind() {
+        std::io::ErrorKind::WouldBlock => format!("{url} does not answer within {} s", TIMEOUT.as_secs()),
+        _ => format!("{url} does not answer: {error}"),
+    };
     let mut addresses = (host.trim_matches(['[', ']']), port).to_socket_addrs().map_err(failed)?;
     let address = addresses.next().ok_or_else(|| format!("{host} has no address"))?;
     let mut stream = TcpStream::connect_timeout(&address, TIMEOUT).map_err(failed)?;

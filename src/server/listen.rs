@@ -78,7 +78,7 @@ impl Listener {
         Ok(Self::Tcp(TcpListener::bind(addresses.as_slice()).await.map_err(refused)?))
     }
 
-    /// Where it listens, as an address that a client can use.
+    /// Where it listens: `http://host:port` with the port that the system chose for port 0, or `unix:PATH`.
     ///
     /// # Errors
     /// When the system does not tell.
@@ -105,6 +105,8 @@ async fn bind_unix(path: &Path) -> io::Result<Listener> {
 }
 
 /// Answers on all listeners until `shutdown` resolves; then finishes what is in flight, within the drain timeout.
+///
+/// While it finishes, it goes on listening: new requests are told to come back, and `/readyz` says why.
 pub async fn serve(listeners: Vec<Listener>, app: Arc<App>, shutdown: impl Future<Output = ()>) {
     let connections = Arc::new(Connections {
         router: router(&app),
@@ -118,13 +120,17 @@ pub async fn serve(listeners: Vec<Listener>, app: Arc<App>, shutdown: impl Futur
         accepting.spawn(accept(listener, Arc::clone(&connections), stopped.clone()));
     }
     shutdown.await;
-    app.draining.store(true, Ordering::Relaxed);
+    app.draining.store(true, Ordering::SeqCst);
     tracing::info!("finishing what is in flight");
-    stop.send_replace(());
-    while accepting.join_next().await.is_some() {}
-    // The accept loops, which had the other handles, have ended.
-    let Some(connections) = Arc::into_inner(connections) else { return };
-    let drained = connections.graceful.shutdown();
+    let drained = async {
+        app.in_flight.none().await;
+        stop.send_replace(());
+        while accepting.join_next().await.is_some() {}
+        // The accept loops, which had the other handles, have ended.
+        if let Some(connections) = Arc::into_inner(connections) {
+            connections.graceful.shutdown().await;
+        }
+    };
     if tokio::time::timeout(Duration::from_millis(app.config.drain_timeout_ms), drained).await.is_err() {
         tracing::warn!("gave up on requests that outlasted --drain-timeout-ms");
     }

@@ -44,6 +44,7 @@ pub struct App {
     pub(crate) metrics: Metrics,
     /// Set once the service is to end: not ready for new work.
     pub(crate) draining: AtomicBool,
+    pub(crate) in_flight: front::InFlight,
     pub(crate) request_ids: front::RequestIds,
     pub(crate) openapi: Bytes,
 }
@@ -59,6 +60,7 @@ impl App {
             worlds: Registry::new(config.worlds_max),
             metrics: Metrics::default(),
             draining: AtomicBool::new(false),
+            in_flight: front::InFlight::default(),
             request_ids: front::RequestIds::default(),
             openapi: openapi::document(documented_routes().to_openapi()).into(),
             config,

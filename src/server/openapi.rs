@@ -168,7 +168,7 @@ pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
     if !open {
         codes.push(Code::Unauthorized);
     }
-    if path == "/readyz" {
+    if path != "/healthz" {
         codes.push(Code::ShuttingDown);
     }
     if path == "/problems/{code}" {
@@ -182,7 +182,6 @@ pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
         if operation != "create_world" {
             codes.extend([Code::UnknownWorld, Code::WorldQuarantined]);
         }
-        codes.push(Code::ShuttingDown);
     }
     if path.contains("{id}") {
         codes.push(Code::UnknownParticle);

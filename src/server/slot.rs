@@ -286,3 +286,41 @@ async fn in_pool<T: Send + 'static>(job: impl FnOnce() -> Result<T, Problem> + S
         },
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use axum::body::Bytes;
+
+    use super::{Code, Reply, Slot};
+    use crate::server::extract::Change;
+    use crate::world::World;
+
+    /// A panic in the middle of a change: nobody sees the half-changed world again, and it can be deleted.
+    #[tokio::test]
+    async fn a_world_with_an_interrupted_change_is_quarantined() {
+        for work in [0, u64::MAX] {
+            let slot = Arc::new(Slot::new("a", World::<f64>::default()));
+            let changing = Arc::clone(&slot);
+            let change = async move {
+                let change = Change::to_world("a", Bytes::new());
+                changing
+                    .change(&change.target, &change.preconditions, Ok(()), |_, ()| work, |_, (), _| panic!("a defect"))
+                    .await
+            };
+            assert!(tokio::spawn(change).await.expect_err("it panicked").is_panic());
+            let change = Change::to_world("a", Bytes::new());
+            let next = slot.change(
+                &change.target,
+                &change.preconditions,
+                Ok(()),
+                |_, ()| 0,
+                |_, (), _| Ok(Reply::no_content()),
+            );
+            assert_eq!(next.await.expect_err("quarantined").code, Code::WorldQuarantined);
+            let removed = slot.remove(&change.target, &change.preconditions, Ok(()), || {});
+            assert_eq!(removed.await.expect("it can be deleted").status(), 204);
+        }
+    }
+}

@@ -127,7 +127,7 @@ fn signals_finish_what_is_in_flight() {
         let address = running.address();
         let mut client = Client::connect(address);
         client.put("/v1/worlds/a", "{\"integrator\":\"newton_euler\"}").expect(201);
-        client.post("/v1/worlds/a/particles", "{\"count\":1000,\"velocity\":[1,0,0]}").expect(201);
+        client.post("/v1/worlds/a/particles", "{\"count\":500,\"velocity\":[1,0,0]}").expect(201);
         let mut idle = Client::connect(address);
         idle.get("/healthz").expect(200);
         let body = "{\"duration\":1,\"steps\":1000000}";
@@ -140,6 +140,15 @@ fn signals_finish_what_is_in_flight() {
         );
         wait_until_busy(address, "/v1/worlds/a");
         running.signal(signal);
+        // While it finishes, it says so to whoever comes.
+        let mut late = Client::connect(address);
+        while late.get("/readyz").status == 200 {
+            std::thread::yield_now();
+        }
+        assert_eq!(late.get("/readyz").expect(503).json()["code"], "shutting_down");
+        let refused = late.put("/v1/worlds/late", "").expect(503);
+        assert_eq!(refused.header("retry-after"), Some("1"));
+        late.get("/healthz").expect(200);
         let answer = client.answer(false).expect(200);
         assert_eq!(answer.json()["step_count"], 1_000_000);
         assert!(idle.try_answer(false).is_none(), "idle connections are closed");

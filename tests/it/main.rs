@@ -20,6 +20,8 @@ mod naive;
 mod openapi;
 /// Motion against closed forms, and the rules of the engine.
 mod physics;
+/// README.md keeps its word.
+mod readme;
 /// Every refusal as data.
 mod refusals;
 /// A service on a real socket, and a plain client.
