@@ -36,9 +36,18 @@ impl Display for Precision {
 }
 
 mod sealed {
-    pub trait Sealed {}
-    impl Sealed for f32 {}
-    impl Sealed for f64 {}
+    use fearless_simd::{Simd, SimdFloat, SimdFloatElement};
+
+    pub trait Sealed: Sized + SimdFloatElement {
+        /// A vector register of these.
+        type Lanes<S: Simd>: SimdFloat<S, Element = Self>;
+    }
+    impl Sealed for f32 {
+        type Lanes<S: Simd> = S::f32s;
+    }
+    impl Sealed for f64 {
+        type Lanes<S: Simd> = S::f64s;
+    }
 }
 
 /// The number type of a world: `f32` with [`glam::Vec3`], or `f64` with [`glam::DVec3`]. Sealed.

@@ -3,6 +3,8 @@
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use fearless_simd::Level;
+
 use crate::closed_form::ClosedForm;
 use crate::column::Column;
 use crate::command::{
@@ -13,7 +15,7 @@ use crate::error::{Error, Field, Limit, Limits, Place, Quantity};
 use crate::ids::{Ids, ParticleId};
 use crate::integrator::{DampingLaw, Integrator};
 use crate::kernel::{self, Drive, Step};
-use crate::particles::{Particles, zero};
+use crate::particles::{Driving, Particles, zero};
 use crate::real::Real;
 
 /// Particles that move together, in one precision, under one clock.
@@ -39,6 +41,8 @@ pub struct World<R: Real = f64> {
     step_count: u64,
     revision: u64,
     bounds: Bounds,
+    factors: Factors<R>,
+    level: Level,
 }
 
 /// The state of a particle at the clock of its world.
@@ -95,9 +99,12 @@ pub struct StepPlan {
 /// Clocks stay below 2⁴⁰⁰ s, so that the square of a time is finite.
 const CLOCK_MAX: f64 = f64::from_bits((1023 + 400) << 52);
 
-/// Rows, or steps of one row, between two looks at whether an advance is cancelled: about a millisecond. A whole
-/// number of times the steps between two rests, so that slices of an advance rest where the whole does.
-const WORK_BETWEEN_LOOKS: u64 = 4096 * kernel::STEPS_BETWEEN_RESTS;
+/// Particles x steps between two looks at whether an advance is cancelled: about a tenth of a millisecond.
+const WORK_BETWEEN_LOOKS: u64 = 1 << 18;
+
+/// The most particles x steps of an advance that is done in place and cannot be cancelled: some milliseconds, and not
+/// more than a tenth of a second where each step waits for memory.
+const WORK_IN_PLACE: u64 = 1 << 24;
 
 static NEVER_CANCELLED: AtomicBool = AtomicBool::new(false);
 
@@ -132,6 +139,8 @@ impl<R: Real> World<R> {
             step_count: 0,
             revision: 0,
             bounds: Bounds::default(),
+            factors: Factors::default(),
+            level: Level::new(),
         };
         world.configure(&Configure {
             integrator: Some(settings.integrator),
@@ -394,9 +403,12 @@ impl<R: Real> World<R> {
         let particles = &mut self.particles;
         particles.position.extend((0..count).map(|i| position.get(i)));
         particles.velocity.extend((0..count).map(|i| velocity.get(i)));
-        particles.acceleration.extend(len, &acceleration, count);
+        particles.own_acceleration.extend(len, &acceleration.map(Option::unwrap_or_default), count);
+        particles.has_own_acceleration.extend(len, &acceleration.map(|own| own.is_some()), count);
         particles.damping.extend(len, &damping, count);
+        self.factors.forget();
         particles.inverse_mass.extend(len, &inverse_mass, count);
+        particles.immovable_count += (0..count).filter(|&i| inverse_mass.get(i) == R::ZERO).count();
         particles.force.extend(len, &Column::Uniform(zero()), count);
         particles.base_time.extend(len, &Column::Uniform(self.clock), count);
         for row in len..len + count {
@@ -445,11 +457,21 @@ impl<R: Real> World<R> {
         if acceleration.is_some() || damping.is_some() || inverse_mass.is_some() {
             self.rebase_all(&rows);
         }
+        if damping.is_some() {
+            self.factors.forget();
+        }
         let every = *ids == Selection::All;
         let particles = &mut self.particles;
-        assign(&mut particles.acceleration, acceleration, &rows, every, particles.position.len());
-        assign(&mut particles.damping, damping, &rows, every, particles.position.len());
-        assign(&mut particles.inverse_mass, inverse_mass, &rows, every, particles.position.len());
+        let len = particles.len();
+        let has_own = acceleration.as_ref().map(|column| column.map(|own| own.is_some()));
+        let own = acceleration.map(|column| column.map(Option::unwrap_or_default));
+        assign(&mut particles.has_own_acceleration, has_own, &rows, every, len);
+        assign(&mut particles.own_acceleration, own, &rows, every, len);
+        assign(&mut particles.damping, damping, &rows, every, len);
+        if let Some(inverse_mass) = inverse_mass {
+            assign(&mut particles.inverse_mass, Some(inverse_mass), &rows, every, len);
+            particles.count_immovable();
+        }
         for &row in &rows {
             self.bounds.include(&self.particles, row);
         }
@@ -473,6 +495,7 @@ impl<R: Real> World<R> {
             }
             before.push(old);
             self.particles.force.set(row, sum, len);
+            self.bounds.force = self.bounds.force.max(magnitude(sum));
         }
         Ok(Outcome::Changed { count: rows.len() })
     }
@@ -527,6 +550,7 @@ impl<R: Real> World<R> {
             let row = self.ids.remove(id).expect("every id was looked up above");
             self.particles.swap_remove(row);
         }
+        self.factors.forget();
         Ok(Outcome::Changed { count: listed.len() })
     }
 
@@ -560,7 +584,7 @@ impl<R: Real> World<R> {
     }
 
     fn follows_gravity(&self, row: usize) -> bool {
-        self.particles.acceleration.get(row).is_none() && self.particles.inverse_mass.get(row) != R::ZERO
+        !self.particles.has_own_acceleration.get(row) && self.particles.inverse_mass.get(row) != R::ZERO
     }
 
     fn advance_all(&mut self, advance: &Advance, cancelled: &AtomicBool) -> Result<Advanced, Error> {
@@ -569,7 +593,7 @@ impl<R: Real> World<R> {
         if clock.hi > CLOCK_MAX {
             return Err(Error::ClockOutOfRange);
         }
-        let resting = if self.particles.may_rest() {
+        let resting = if self.particles.immovable_count > 0 {
             (0..self.particles.len()).filter(|&row| self.particles.is_resting(row)).count()
         } else {
             0
@@ -583,6 +607,7 @@ impl<R: Real> World<R> {
             }
         };
         self.particles.force = Column::Uniform(zero());
+        self.bounds.force = 0.0;
         self.clock = clock;
         self.step_count += plan.steps;
         Ok(Advanced {
@@ -597,58 +622,115 @@ impl<R: Real> World<R> {
         })
     }
 
-    /// An advance under a stepped integrator, on copies that replace the state at the end.
+    /// An advance under a stepped integrator. In place when bounds prove that it ends well and it is over at once;
+    /// otherwise the state before is kept, and put back when the advance is cancelled or diverges.
     fn step(&mut self, plan: StepPlan, cancelled: &AtomicBool) -> Result<(), Error> {
-        let particles = &self.particles;
         let step = Step { integrator: self.settings.integrator, h: R::nearest(plan.step) };
-        let mut factors = Factors::new(self.settings.damping_law, step.h);
-        let mut drive = |row| {
-            let damping = particles.damping.get(row);
-            let own = particles.acceleration(row, self.gravity());
-            let (w, f) = (particles.inverse_mass.get(row), particles.force.get(row));
-            Drive {
-                acceleration: add(own, f.map(|x| x * w)),
-                damping_factor: factors.of(damping),
-                damped: damping < R::ONE,
-            }
-        };
-        let mut position = particles.position.clone();
-        let mut velocity = particles.velocity.clone();
-        let mut diverged: Option<(ParticleId, usize)> = None;
-        let mut work = 0;
-        for (row, (p, v)) in position.iter_mut().zip(&mut velocity).enumerate() {
-            look(&mut work, 1, cancelled)?;
-            if particles.is_resting(row) {
-                continue;
-            }
-            let drive = drive(row);
-            let mut left = plan.steps;
-            while left > 0 {
-                let slice = left.min(WORK_BETWEEN_LOOKS);
-                kernel::advance(step, &drive, slice, p, v);
-                look(&mut work, slice, cancelled)?;
-                left -= slice;
-            }
-            if kernel::non_finite(p, v).is_some() {
-                let id = self.ids.id(row);
-                diverged = Some(diverged.map_or((id, row), |smallest| smallest.min((id, row))));
-            }
+        self.factors.prepare(&self.particles.damping, self.settings.damping_law, step.h);
+        let bounds = self.bounds.after_steps::<R>(plan).or_else(|| {
+            self.bounds = Bounds::of(&self.particles, self.gravity());
+            self.bounds.after_steps::<R>(plan)
+        });
+        let work = plan.steps.saturating_mul(self.particles.len() as u64);
+        if let Some(bounds) = bounds
+            && work <= WORK_IN_PLACE
+        {
+            self.bounds = bounds;
+            return self.run_steps(step, plan.steps, &NEVER_CANCELLED);
         }
-        if let Some((particle, row)) = diverged {
-            let (mut p, mut v) = (particles.position[row], particles.velocity[row]);
-            let drive = drive(row);
-            for n in 1..=plan.steps {
-                look(&mut work, 1, cancelled)?;
-                kernel::advance_one(step, &drive, n, &mut p, &mut v);
-                if let Some(quantity) = kernel::non_finite(&p, &v) {
-                    return Err(Error::Diverged { particle, quantity, step: n });
+        let before = (self.particles.position.clone(), self.particles.velocity.clone());
+        let result = self.run_steps(step, plan.steps, cancelled);
+        let ended = result.and_then(|()| match bounds {
+            Some(_) => Ok(()),
+            None => self.first_divergence(step, plan.steps, &before, cancelled),
+        });
+        if ended.is_err() {
+            (self.particles.position, self.particles.velocity) = before;
+            return ended;
+        }
+        self.bounds = bounds.unwrap_or_else(|| Bounds::of(&self.particles, self.gravity()));
+        Ok(())
+    }
+
+    /// Moves position and velocity block by block; all steps of a block while it is in the cache.
+    fn run_steps(&mut self, step: Step<R>, steps: u64, cancelled: &AtomicBool) -> Result<(), Error> {
+        let mut position = std::mem::take(&mut self.particles.position);
+        let mut velocity = std::mem::take(&mut self.particles.velocity);
+        let mut scratch = Scratch::new();
+        let mut work = 0;
+        let mut run = || {
+            for (block, (p, v)) in position.chunks_mut(BLOCK).zip(velocity.chunks_mut(BLOCK)).enumerate() {
+                let first = block * BLOCK;
+                let Some(resting) = self.resting_of(first, p, v) else { continue };
+                let drive = scratch.drive(self, first..first + p.len());
+                let mut left = steps;
+                while left > 0 {
+                    let slice = left.min(STEPS_BETWEEN_LOOKS);
+                    look(&mut work, slice * BLOCK as u64, cancelled)?;
+                    kernel::advance(self.level, step, drive, slice, p.as_flattened_mut(), v.as_flattened_mut());
+                    left -= slice;
+                }
+                for (row, place, speed) in resting {
+                    (p[row], v[row]) = (place, speed);
                 }
             }
-            unreachable!("the same steps end the same way, and what is not finite once stays so");
+            Ok(())
+        };
+        let result = run();
+        (self.particles.position, self.particles.velocity) = (position, velocity);
+        result
+    }
+
+    /// The resting particles of a block, which are put back as they were; `None` when all of them rest.
+    fn resting_of(&self, first: usize, p: &[[R; 3]], v: &[[R; 3]]) -> Option<Vec<(usize, [R; 3], [R; 3])>> {
+        let mut resting = Vec::new();
+        if self.particles.immovable_count > 0 {
+            for (row, (place, speed)) in p.iter().zip(v).enumerate() {
+                if self.particles.nothing_moves(first + row) && *speed == zero() {
+                    resting.push((row, *place, *speed));
+                }
+            }
         }
-        self.particles.position = position;
-        self.particles.velocity = velocity;
-        Ok(())
+        (resting.len() < p.len()).then_some(resting)
+    }
+
+    /// The smallest id of a particle that did not stay finite, with its first step, found by stepping it again.
+    fn first_divergence(
+        &self,
+        step: Step<R>,
+        steps: u64,
+        before: &(Vec<[R; 3]>, Vec<[R; 3]>),
+        cancelled: &AtomicBool,
+    ) -> Result<(), Error> {
+        let ended = self.particles.position.iter().zip(&self.particles.velocity).enumerate();
+        let diverged = ended.filter(|(_, (p, v))| kernel::non_finite(*p, *v).is_some());
+        let Some((particle, row)) = diverged.map(|(row, _)| (self.ids.id(row), row)).min() else { return Ok(()) };
+        let (mut p, mut v) = (before.0[row], before.1[row]);
+        let mut scratch = Scratch::new();
+        let drive = scratch.drive(self, row..row + 1);
+        let (mut work, mut done) = (0, 0);
+        while done < steps {
+            // From rest to rest, so that each step is the one of the advance.
+            let some = (steps - done).min(kernel::STEPS_BETWEEN_RESTS);
+            let after = |steps| {
+                let (mut p, mut v) = (p, v);
+                kernel::advance(self.level, step, drive, steps, &mut p, &mut v);
+                (p, v)
+            };
+            let non_finite_after = |steps| {
+                let (p, v) = after(steps);
+                kernel::non_finite(&p, &v)
+            };
+            if non_finite_after(some).is_some()
+                && let Some((n, quantity)) = (1..=some).find_map(|n| Some((n, non_finite_after(n)?)))
+            {
+                return Err(Error::Diverged { particle, quantity, step: done + n });
+            }
+            look(&mut work, some, cancelled)?;
+            (p, v) = after(some);
+            done += some;
+        }
+        unreachable!("the same steps end the same way, and what is not finite once stays so")
     }
 
     /// An advance under the closed form: particles with a force move now, the others when they are read. How many moved.
@@ -744,7 +826,7 @@ impl<R: Real> World<R> {
             position: position.into(),
             velocity: velocity.into(),
             acceleration: particles.acceleration(row, self.gravity()).into(),
-            own_acceleration: particles.acceleration.get(row).map(Into::into),
+            own_acceleration: particles.own(row).map(Into::into),
             damping: particles.damping.get(row),
             inverse_mass: particles.inverse_mass.get(row),
             force: particles.force.get(row).into(),
@@ -785,7 +867,7 @@ fn flowed<R: Real>(
     let form = form.of(damping.into(), time);
     let (p, v) = form.apply(p.map(Into::into), v.map(Into::into), acceleration);
     let v = v.map(R::nearest);
-    (p.map(R::nearest), if damping < R::ONE { v.map(kernel::at_rest_below_threshold) } else { v })
+    (p.map(R::nearest), if damping < R::ONE { v.map(|v| kernel::at_rest_below(v, R::REST)) } else { v })
 }
 
 /// The closed form that was last used: particles with the same damping and base time share it.
@@ -805,34 +887,109 @@ impl LastForm {
     }
 }
 
-/// D of each distinct damping, for one step length.
-#[derive(Debug)]
+/// D of every particle, kept while dampings and step length stay: a pow for each distinct damping, once.
+#[derive(Debug, Clone, Default)]
 struct Factors<R> {
-    law: DampingLaw,
-    h: R,
-    last: (R, R),
-    seen: HashMap<u64, R>,
+    /// The law and the step length that the values are for.
+    of: Option<(DampingLaw, R)>,
+    /// D of the uniform damping, or of each particle.
+    values: Vec<R>,
+    /// Whether every damping is below 1.
+    all_damped: bool,
 }
 
 impl<R: Real> Factors<R> {
-    fn new(law: DampingLaw, h: R) -> Self {
-        Self { law, h, last: (R::ONE, R::ONE), seen: HashMap::new() }
+    /// What is kept is not for these dampings any more.
+    fn forget(&mut self) {
+        self.of = None;
     }
 
-    /// `damping` to the power of h, correctly rounded in double, then rounded to the precision of the world.
-    fn of(&mut self, damping: R) -> R {
-        if damping == self.last.0 {
-            return self.last.1;
+    fn prepare(&mut self, damping: &Column<R>, law: DampingLaw, h: R) {
+        if self.of == Some((law, h)) {
+            return;
         }
-        let factor = match self.law {
-            DampingLaw::PerStep => damping,
-            DampingLaw::PerSecond => {
-                let (d, h): (f64, f64) = (damping.into(), self.h.into());
-                *self.seen.entry(d.to_bits()).or_insert_with(|| R::nearest(pxfm::f_pow(d, h)))
+        let mut seen = HashMap::new();
+        let mut last = (R::ONE, R::ONE);
+        self.values.clear();
+        self.values.extend(damping.entries().map(|(_, damping)| {
+            if damping != last.0 {
+                let exact: f64 = damping.into();
+                last = (damping, *seen.entry(exact.to_bits()).or_insert_with(|| damping_factor(law, damping, h)));
+            }
+            last.1
+        }));
+        self.all_damped = damping.entries().all(|(_, damping)| damping < R::ONE);
+        self.of = Some((law, h));
+    }
+}
+
+/// D: `damping` to the power of h, correctly rounded in double, then rounded to the precision of the world.
+fn damping_factor<R: Real>(law: DampingLaw, damping: R, h: R) -> R {
+    match law {
+        DampingLaw::PerStep => damping,
+        DampingLaw::PerSecond => R::nearest(pxfm::f_pow(damping.into(), h.into())),
+    }
+}
+
+/// Particles that are moved together: with all that drives them, they fit into the first cache.
+const BLOCK: usize = 256;
+
+/// Steps of a block between two looks at whether the advance is cancelled: a tenth of a millisecond. A whole number of
+/// times the steps between two rests, so that slices of an advance rest where the whole does.
+const STEPS_BETWEEN_LOOKS: u64 = 16 * kernel::STEPS_BETWEEN_RESTS;
+
+/// Room for what drives the components of one block, where no column has it as it is.
+struct Scratch<R> {
+    acceleration: [R; 3 * BLOCK],
+    /// What the acceleration is filled with, when it is the same for all.
+    uniform: Option<[R; 3]>,
+    factor: [R; 3 * BLOCK],
+    rest: [R; 3 * BLOCK],
+}
+
+impl<R: Real> Scratch<R> {
+    fn new() -> Self {
+        let zeros = [R::ZERO; 3 * BLOCK];
+        Self { acceleration: zeros, uniform: Some(zero()), factor: zeros, rest: zeros }
+    }
+
+    /// What drives the particles of some rows. Decided by values: a column of equal values is no different from a
+    /// uniform one.
+    fn drive<'a>(&'a mut self, world: &'a World<R>, rows: std::ops::Range<usize>) -> Drive<'a, R> {
+        let particles = &world.particles;
+        let len = 3 * rows.len();
+        let acceleration = match particles.driving_acceleration(world.gravity(), rows.clone()) {
+            Driving::Column(column) => column.as_flattened(),
+            Driving::Uniform(uniform) => {
+                if self.uniform != Some(uniform) {
+                    self.acceleration.as_chunks_mut::<3>().0.fill(uniform);
+                    self.uniform = Some(uniform);
+                }
+                &self.acceleration[..len]
+            }
+            Driving::Each => {
+                self.uniform = None;
+                particles.fill_acceleration(world.gravity(), rows.clone(), self.acceleration.as_chunks_mut::<3>().0);
+                &self.acceleration[..len]
             }
         };
-        self.last = (damping, factor);
-        factor
+        let damping = match &particles.damping {
+            Column::Uniform(d) if *d == R::ONE => kernel::Damping::None,
+            Column::Uniform(_) => kernel::Damping::Uniform(world.factors.values[0]),
+            Column::PerParticle(dampings) => {
+                let factor = &mut self.factor[..len];
+                kernel::to_components(world.level, &world.factors.values[rows.clone()], factor);
+                if world.factors.all_damped {
+                    kernel::Damping::Each(factor)
+                } else {
+                    for (rest, damping) in self.rest.as_chunks_mut::<3>().0.iter_mut().zip(&dampings[rows]) {
+                        *rest = [if *damping < R::ONE { R::REST } else { R::ZERO }; 3];
+                    }
+                    kernel::Damping::Mixed { factor, rest: &self.rest[..len] }
+                }
+            }
+        };
+        Drive { acceleration, damping }
     }
 }
 
@@ -843,13 +1000,16 @@ struct Bounds {
     position: f64,
     velocity: f64,
     acceleration: f64,
+    inverse_mass: f64,
+    force: f64,
     /// At or before every base time.
     oldest: DoubleDouble,
 }
 
 impl Default for Bounds {
     fn default() -> Self {
-        Self { position: 0.0, velocity: 0.0, acceleration: 0.0, oldest: DoubleDouble::default() }
+        let oldest = DoubleDouble::default();
+        Self { position: 0.0, velocity: 0.0, acceleration: 0.0, inverse_mass: 0.0, force: 0.0, oldest }
     }
 }
 
@@ -858,6 +1018,7 @@ impl Bounds {
         let oldest = particles.base_time.entries().map(|(_, time)| time);
         let mut bounds = Self {
             acceleration: magnitude(gravity),
+            force: particles.force.entries().map(|(_, force)| magnitude(force)).fold(0.0, f64::max),
             oldest: oldest.reduce(|a, b| if (b - a).hi < 0.0 { b } else { a }).unwrap_or_default(),
             ..Self::default()
         };
@@ -871,7 +1032,25 @@ impl Bounds {
     fn include<R: Real>(&mut self, particles: &Particles<R>, row: usize) {
         self.position = self.position.max(magnitude(particles.position[row]));
         self.velocity = self.velocity.max(magnitude(particles.velocity[row]));
-        self.acceleration = self.acceleration.max(particles.acceleration.get(row).map_or(0.0, magnitude));
+        self.acceleration = self.acceleration.max(particles.own(row).map_or(0.0, magnitude));
+        self.inverse_mass = self.inverse_mass.max(particles.inverse_mass.get(row).into());
+    }
+
+    /// The bounds after an advance under any stepped integrator, when they prove that every number stays finite on the
+    /// way: |v| grows by at most |A| T, |p| by at most (|v| + |A| T) T. Rounding adds less than 2⁻²⁰ of it a step.
+    fn after_steps<R: Real>(&self, plan: StepPlan) -> Option<Self> {
+        let t = plan.duration;
+        let acceleration = self.acceleration + self.inverse_mass * self.force;
+        #[expect(clippy::cast_precision_loss, reason = "an estimate")]
+        let slack = 1.0 + (plan.steps + 1) as f64 / f64::from(1 << 20);
+        let velocity = (self.velocity + acceleration * t) * slack;
+        let position = (self.position + velocity * t) * slack;
+        let finite = 0.25 * R::LARGEST;
+        (slack < 2.0 && velocity < finite && position < finite && acceleration < finite).then_some(Self {
+            position,
+            velocity,
+            ..*self
+        })
     }
 
     /// Whether no position and no velocity can be beyond half the largest number: φ <= t and ψ <= t²/2.

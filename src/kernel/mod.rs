@@ -1,0 +1,361 @@
+//! The stepped integrators: the one loop over particles and steps.
+//!
+//! Positions and velocities are flat lists of components, so that a vector register holds components of several
+//! particles. A group of registers stays loaded for all steps of an advance. The arithmetic is written once and compiled
+//! for every instruction set; which one runs is found out once, when the world is made.
+//!
+//! Every multiplication and every addition rounds on its own, in the precision of the world, so that all instruction
+//! sets give the same bits. A fused multiply-add would be faster, and would give other bits where there is none.
+
+#[cfg(test)]
+mod tests;
+
+use std::ops::{Add, Mul};
+
+use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, dispatch};
+
+use crate::error::Quantity;
+use crate::integrator::Integrator;
+use crate::real::Real;
+
+/// The step of one advance.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Step<R> {
+    pub(crate) integrator: Integrator,
+    /// The length h of a step in seconds.
+    pub(crate) h: R,
+}
+
+/// What moves the particles of a block, constant through the advance.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Drive<'a, R> {
+    /// A, with the share of the force, for each component of each particle.
+    pub(crate) acceleration: &'a [R],
+    pub(crate) damping: Damping<'a, R>,
+}
+
+/// D, the damping over one step.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Damping<'a, R> {
+    /// 1 for all: nothing is damped, and nothing comes to rest.
+    None,
+    /// The same for all, of a damping below 1.
+    Uniform(R),
+    /// One for each component of each particle, all of dampings below 1.
+    Each(&'a [R]),
+    /// The same where some dampings are 1: also below which magnitude a velocity comes to rest, 0 for those.
+    Mixed { factor: &'a [R], rest: &'a [R] },
+}
+
+/// A velocity that decays into denormals would cost sixty times a normal step, and comparing it at every step would
+/// halve the speed: every so many steps and at the end is enough.
+pub(crate) const STEPS_BETWEEN_RESTS: u64 = 64;
+
+/// Takes `steps` steps with all components of a block.
+pub(crate) fn advance<R: Real>(level: Level, step: Step<R>, drive: Drive<'_, R>, steps: u64, p: &mut [R], v: &mut [R]) {
+    assert!(p.len() == v.len() && p.len() == drive.acceleration.len());
+    match step.integrator {
+        Integrator::NewtonEuler => with_damping::<R, NewtonEuler>(level, step.h, drive, steps, p, v),
+        Integrator::NewtonEulerQuadratic => with_damping::<R, Quadratic>(level, step.h, drive, steps, p, v),
+        Integrator::SemiImplicitEuler => with_damping::<R, SemiImplicit>(level, step.h, drive, steps, p, v),
+        Integrator::Exact => unreachable!("the closed form has no steps"),
+    }
+}
+
+/// Repeats each number three times: from one for each particle to one for each component.
+pub(crate) fn to_components<R: Real>(level: Level, each: &[R], components: &mut [R]) {
+    dispatch!(level, simd => repeat_thrice(simd, each, components));
+}
+
+#[inline(always)]
+fn repeat_thrice<S: Simd, R: Real>(_: S, each: &[R], components: &mut [R]) {
+    for (three, value) in components.as_chunks_mut::<3>().0.iter_mut().zip(each) {
+        *three = [*value; 3];
+    }
+}
+
+/// Which of the two is not finite, position before velocity.
+pub(crate) fn non_finite<R: Real>(p: &[R], v: &[R]) -> Option<Quantity> {
+    if !p.iter().all(|x| x.is_finite()) {
+        Some(Quantity::Position)
+    } else if !v.iter().all(|x| x.is_finite()) {
+        Some(Quantity::Velocity)
+    } else {
+        None
+    }
+}
+
+/// A velocity component too small to matter is a zero of its own sign.
+pub(crate) fn at_rest_below<R: Real>(v: R, threshold: R) -> R {
+    if v.abs() < threshold { v.signed_zero() } else { v }
+}
+
+/// The position update of an integrator, on one number or on a register of them.
+trait Scheme {
+    /// From the start of the step: p, v, and h h ½ A; `kicked` is the velocity at its end.
+    fn drift<V: Copy + Add<Output = V> + Mul<Output = V>>(p: V, v: V, kicked: V, h: V, burst: V) -> V;
+}
+
+struct NewtonEuler;
+struct Quadratic;
+struct SemiImplicit;
+
+impl Scheme for NewtonEuler {
+    #[inline(always)]
+    fn drift<V: Copy + Add<Output = V> + Mul<Output = V>>(p: V, v: V, _: V, h: V, _: V) -> V {
+        p + v * h
+    }
+}
+
+impl Scheme for Quadratic {
+    #[inline(always)]
+    fn drift<V: Copy + Add<Output = V> + Mul<Output = V>>(p: V, v: V, _: V, h: V, burst: V) -> V {
+        (p + v * h) + burst
+    }
+}
+
+impl Scheme for SemiImplicit {
+    #[inline(always)]
+    fn drift<V: Copy + Add<Output = V> + Mul<Output = V>>(p: V, _: V, kicked: V, h: V, _: V) -> V {
+        p + kicked * h
+    }
+}
+
+/// One value for each component of a block, as a number or as a register of them.
+trait Source<R: Real>: Copy {
+    fn one(&self, index: usize) -> R;
+    fn register<S: Simd>(&self, simd: S, index: usize) -> R::Lanes<S>;
+}
+
+/// D of a block, and where velocities come to rest.
+trait Damper<R: Real>: Copy {
+    /// Whether anything is damped.
+    const DAMPS: bool = true;
+    type Factor: Source<R>;
+    type Rest: Source<R>;
+    fn factor(&self) -> Self::Factor;
+    fn rest(&self) -> Self::Rest;
+}
+
+/// D = 1 for all.
+#[derive(Clone, Copy)]
+struct Undamped;
+/// The same D below 1 for all.
+#[derive(Clone, Copy)]
+struct DampedAlike<R>(R);
+/// A D below 1 for each component.
+#[derive(Clone, Copy)]
+struct DampedEach<'a, R>(&'a [R]);
+/// A D for each component, and what rests.
+#[derive(Clone, Copy)]
+struct DampedMixed<'a, R> {
+    factor: &'a [R],
+    rest: &'a [R],
+}
+
+impl<R: Real> Damper<R> for Undamped {
+    const DAMPS: bool = false;
+    type Factor = Same<R>;
+    type Rest = Same<R>;
+    #[inline(always)]
+    fn factor(&self) -> Same<R> {
+        Same(R::ONE)
+    }
+    #[inline(always)]
+    fn rest(&self) -> Same<R> {
+        Same(R::ZERO)
+    }
+}
+
+impl<R: Real> Damper<R> for DampedAlike<R> {
+    type Factor = Same<R>;
+    type Rest = Same<R>;
+    #[inline(always)]
+    fn factor(&self) -> Same<R> {
+        Same(self.0)
+    }
+    #[inline(always)]
+    fn rest(&self) -> Same<R> {
+        Same(R::REST)
+    }
+}
+
+impl<'a, R: Real> Damper<R> for DampedEach<'a, R> {
+    type Factor = Each<'a, R>;
+    type Rest = Same<R>;
+    #[inline(always)]
+    fn factor(&self) -> Each<'a, R> {
+        Each(self.0)
+    }
+    #[inline(always)]
+    fn rest(&self) -> Same<R> {
+        Same(R::REST)
+    }
+}
+
+impl<'a, R: Real> Damper<R> for DampedMixed<'a, R> {
+    type Factor = Each<'a, R>;
+    type Rest = Each<'a, R>;
+    #[inline(always)]
+    fn factor(&self) -> Each<'a, R> {
+        Each(self.factor)
+    }
+    #[inline(always)]
+    fn rest(&self) -> Each<'a, R> {
+        Each(self.rest)
+    }
+}
+
+/// The same for all components.
+#[derive(Clone, Copy)]
+struct Same<R>(R);
+/// One value for each component.
+#[derive(Clone, Copy)]
+struct Each<'a, R>(&'a [R]);
+
+impl<R: Real> Source<R> for Same<R> {
+    #[inline(always)]
+    fn one(&self, _: usize) -> R {
+        self.0
+    }
+    #[inline(always)]
+    fn register<S: Simd>(&self, simd: S, _: usize) -> R::Lanes<S> {
+        R::Lanes::<S>::splat(simd, self.0)
+    }
+}
+
+impl<R: Real> Source<R> for Each<'_, R> {
+    #[inline(always)]
+    fn one(&self, index: usize) -> R {
+        self.0[index]
+    }
+    #[inline(always)]
+    fn register<S: Simd>(&self, simd: S, index: usize) -> R::Lanes<S> {
+        R::Lanes::<S>::from_slice(simd, &self.0[index..index + R::Lanes::<S>::LEN])
+    }
+}
+
+fn with_damping<R: Real, K: Scheme>(level: Level, h: R, drive: Drive<'_, R>, steps: u64, p: &mut [R], v: &mut [R]) {
+    let a = Each(drive.acceleration);
+    match drive.damping {
+        Damping::None => compiled::<R, K, _>(level, h, a, Undamped, steps, p, v),
+        Damping::Uniform(d) => compiled::<R, K, _>(level, h, a, DampedAlike(d), steps, p, v),
+        Damping::Each(factor) => compiled::<R, K, _>(level, h, a, DampedEach(factor), steps, p, v),
+        Damping::Mixed { factor, rest } => compiled::<R, K, _>(level, h, a, DampedMixed { factor, rest }, steps, p, v),
+    }
+}
+
+fn compiled<R: Real, K: Scheme, D: Damper<R>>(
+    level: Level,
+    h: R,
+    a: Each<'_, R>,
+    d: D,
+    steps: u64,
+    p: &mut [R],
+    v: &mut [R],
+) {
+    dispatch!(level, simd => block::<_, R, K, D>(simd, h, a, d, steps, p, v));
+}
+
+/// Groups of six registers, which hide the latency of the arithmetic; then of three; then one number at a time.
+#[inline(always)]
+fn block<S: Simd, R: Real, K: Scheme, D: Damper<R>>(
+    simd: S,
+    h: R,
+    a: Each<'_, R>,
+    d: D,
+    steps: u64,
+    p: &mut [R],
+    v: &mut [R],
+) {
+    let lanes = R::Lanes::<S>::LEN;
+    let mut at = 0;
+    while at + 6 * lanes <= p.len() {
+        group::<S, R, K, D, 6>(simd, h, a, d, steps, at, p, v);
+        at += 6 * lanes;
+    }
+    while at + 3 * lanes <= p.len() {
+        group::<S, R, K, D, 3>(simd, h, a, d, steps, at, p, v);
+        at += 3 * lanes;
+    }
+    for index in at..p.len() {
+        single::<R, K, D>(h, a, d, steps, index, p, v);
+    }
+}
+
+#[inline(always)]
+fn group<S: Simd, R: Real, K: Scheme, D: Damper<R>, const N: usize>(
+    simd: S,
+    h: R,
+    a: Each<'_, R>,
+    d: D,
+    steps: u64,
+    at: usize,
+    p: &mut [R],
+    v: &mut [R],
+) {
+    let lanes = R::Lanes::<S>::LEN;
+    let (p, v) = (&mut p[at..at + N * lanes], &mut v[at..at + N * lanes]);
+    let mut ps: [R::Lanes<S>; N] =
+        std::array::from_fn(|k| R::Lanes::<S>::from_slice(simd, &p[k * lanes..(k + 1) * lanes]));
+    let mut vs: [R::Lanes<S>; N] =
+        std::array::from_fn(|k| R::Lanes::<S>::from_slice(simd, &v[k * lanes..(k + 1) * lanes]));
+    let accelerations: [R::Lanes<S>; N] = std::array::from_fn(|k| a.register(simd, at + k * lanes));
+    let dampings: [R::Lanes<S>; N] = std::array::from_fn(|k| d.factor().register(simd, at + k * lanes));
+    let half_square = R::Lanes::<S>::splat(simd, h * h * R::HALF);
+    let h = R::Lanes::<S>::splat(simd, h);
+    let kicks: [R::Lanes<S>; N] = std::array::from_fn(|k| accelerations[k] * h);
+    let bursts: [R::Lanes<S>; N] = std::array::from_fn(|k| accelerations[k] * half_square);
+    let zero = R::Lanes::<S>::splat(simd, R::ZERO);
+    let mut left = steps;
+    while left > 0 {
+        let some = left.min(STEPS_BETWEEN_RESTS);
+        for _ in 0..some {
+            for k in 0..N {
+                let kicked = if D::DAMPS { (vs[k] + kicks[k]) * dampings[k] } else { vs[k] + kicks[k] };
+                ps[k] = K::drift(ps[k], vs[k], kicked, h, bursts[k]);
+                vs[k] = kicked;
+            }
+        }
+        if D::DAMPS {
+            for k in 0..N {
+                let rest = d.rest().register(simd, at + k * lanes);
+                vs[k] = vs[k].abs().simd_lt(rest).select(zero.copysign(vs[k]), vs[k]);
+            }
+        }
+        left -= some;
+    }
+    for k in 0..N {
+        ps[k].store_slice(&mut p[k * lanes..(k + 1) * lanes]);
+        vs[k].store_slice(&mut v[k * lanes..(k + 1) * lanes]);
+    }
+}
+
+#[inline(always)]
+fn single<R: Real, K: Scheme, D: Damper<R>>(
+    h: R,
+    a: Each<'_, R>,
+    d: D,
+    steps: u64,
+    index: usize,
+    p: &mut [R],
+    v: &mut [R],
+) {
+    let (mut x, mut u) = (p[index], v[index]);
+    let (kick, burst) = (a.one(index) * h, a.one(index) * (h * h * R::HALF));
+    let factor = d.factor().one(index);
+    let mut left = steps;
+    while left > 0 {
+        let some = left.min(STEPS_BETWEEN_RESTS);
+        for _ in 0..some {
+            let kicked = if D::DAMPS { (u + kick) * factor } else { u + kick };
+            x = K::drift(x, u, kicked, h, burst);
+            u = kicked;
+        }
+        if D::DAMPS {
+            u = at_rest_below(u, d.rest().one(index));
+        }
+        left -= some;
+    }
+    (p[index], v[index]) = (x, u);
+}
