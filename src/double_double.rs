@@ -107,6 +107,7 @@ impl Div for DoubleDouble {
 }
 
 #[cfg(test)]
+#[expect(clippy::disallowed_methods, reason = "powers of two are exact everywhere")]
 mod tests {
     use super::DoubleDouble;
 

@@ -77,13 +77,16 @@ pub struct ParticleState<R: Real = f64> {
 }
 
 impl<R: Real> ParticleState<R> {
-    /// 1/inverse mass in kilograms; `None` when the particle is immovable, or so light-footed that the number is not
-    /// finite (an inverse mass below about 2⁻¹⁰²⁴, 2⁻¹²⁸ in single).
+    /// 1/inverse mass in kilograms; `None` when the particle is immovable, or so heavy that the number is not finite (an
+    /// inverse mass below about 2⁻¹⁰²⁴, 2⁻¹²⁸ in single).
     #[must_use]
     pub fn mass(&self) -> Option<R> {
         Some(R::ONE / self.inverse_mass).filter(|mass| mass.is_finite())
     }
 }
+
+/// A row of a block with the position and velocity that it keeps.
+type Resting<R> = (usize, [R; 3], [R; 3]);
 
 /// The steps of an advance, decided before it begins.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -373,6 +376,24 @@ impl<R: Real> World<R> {
         Ok(StepPlan { duration, steps, step })
     }
 
+    /// About what an advance costs, in particles to move or to look at, times steps; 0 when it only moves the clock, or
+    /// is refused at once.
+    #[must_use]
+    pub fn work(&self, advance: &Advance) -> u64 {
+        let particles = self.particles.len() as u64;
+        match self.plan(advance) {
+            Err(_) => 0,
+            Ok(plan) if self.settings.integrator != Integrator::Exact => particles.saturating_mul(plan.steps),
+            Ok(plan) => {
+                let clock = self.clock + DoubleDouble::from(plan.duration);
+                let looks = self.particles.force != Column::Uniform(zero())
+                    || self.particles.immovable_count > 0
+                    || !self.bounds.hold_until::<R>(clock);
+                if looks { particles } else { 0 }
+            }
+        }
+    }
+
     fn gravity(&self) -> [R; 3] {
         self.settings.gravity.into()
     }
@@ -534,11 +555,11 @@ impl<R: Real> World<R> {
         Error::Overflow { particle: self.ids.id(row), quantity, place: Place { field, index } }
     }
 
-    fn remove_all(&mut self, ids: &Selection) -> Result<Outcome, Error> {
-        let listed: Vec<ParticleId> = match ids {
+    fn remove_all(&mut self, selection: &Selection) -> Result<Outcome, Error> {
+        let listed: Vec<ParticleId> = match selection {
             Selection::All => self.ids.from(0).map(|(id, _)| id).collect(),
             Selection::Ids(ids) => {
-                self.rows(&Selection::Ids(ids.clone()))?;
+                self.rows(selection)?;
                 let mut seen = std::collections::HashSet::with_capacity(ids.len());
                 if let Some((index, &id)) = ids.iter().enumerate().find(|(_, id)| !seen.insert(**id)) {
                     return Err(Error::RemovedTwice { id, index });
@@ -682,7 +703,7 @@ impl<R: Real> World<R> {
     }
 
     /// The resting particles of a block, which are put back as they were; `None` when all of them rest.
-    fn resting_of(&self, first: usize, p: &[[R; 3]], v: &[[R; 3]]) -> Option<Vec<(usize, [R; 3], [R; 3])>> {
+    fn resting_of(&self, first: usize, p: &[[R; 3]], v: &[[R; 3]]) -> Option<Vec<Resting<R>>> {
         let mut resting = Vec::new();
         if self.particles.immovable_count > 0 {
             for (row, (place, speed)) in p.iter().zip(v).enumerate() {
@@ -769,6 +790,10 @@ impl<R: Real> World<R> {
             return Err(Error::Diverged { particle, quantity, step: 1 });
         }
         let len = particles.len();
+        if !safe {
+            // All of them were looked at; the bounds may have been of one that is gone.
+            self.bounds = Bounds::of(&self.particles, self.gravity());
+        }
         if moved.len() == len {
             self.particles.base_time = Column::Uniform(clock);
         }
@@ -1071,7 +1096,7 @@ fn magnitude<R: Real>(x: [R; 3]) -> f64 {
 fn steps_of_at_most(duration: f64, max_step: f64) -> u64 {
     let quotient = duration / max_step;
     let whole = quotient.round();
-    let steps = if whole >= 1.0 && (quotient - whole).abs() <= 1e-9 * whole { whole } else { quotient.ceil() };
+    let steps = if whole >= 1.0 && (quotient - whole).abs() <= 1e-9 * whole { whole } else { quotient.ceil().max(1.0) };
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates; the limit is checked next")]
     let steps = steps as u64;
     steps

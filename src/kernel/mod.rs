@@ -7,6 +7,10 @@
 //! Every multiplication and every addition rounds on its own, in the precision of the world, so that all instruction
 //! sets give the same bits. A fused multiply-add would be faster, and would give other bits where there is none.
 
+#![expect(clippy::inline_always, reason = "a call that is not inlined leaves the instruction set of its caller")]
+#![expect(clippy::too_many_arguments, reason = "a hot loop gets plain arguments")]
+#![expect(clippy::needless_range_loop, reason = "registers of several arrays go together")]
+
 #[cfg(test)]
 mod tests;
 

@@ -1,5 +1,7 @@
 //! Every instruction set of this machine against plain numbers, bit for bit.
 
+#![expect(clippy::cast_precision_loss, reason = "numbers are made of random bits")]
+
 use fearless_simd::Level;
 use proptest::prelude::*;
 

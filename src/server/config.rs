@@ -3,8 +3,10 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use clap::builder::BoolishValueParser;
-use clap::{Args, Parser, Subcommand};
+use clap::builder::{BoolishValueParser, Resettable};
+use clap::{Args, FromArgMatches, Parser, Subcommand};
+
+use tokio::sync::Semaphore;
 
 use crate::error::Limits;
 
@@ -14,6 +16,10 @@ pub(crate) const STEPS_MAX: &str = "steps-max";
 pub(crate) const PARTICLE_STEPS_MAX: &str = "particle-steps-max";
 pub(crate) const WORLDS_MAX: &str = "worlds-max";
 pub(crate) const BODY_BYTES_MAX: &str = "body-bytes-max";
+pub(crate) const MEMORY_BYTES_MAX: &str = "memory-bytes-max";
+
+/// The largest body where it cannot speak of many particles.
+pub(crate) const SMALL_BODY_BYTES_MAX: usize = 1 << 20;
 
 /// The most particles or worlds in one answer of a list; the contract's number.
 pub(crate) const PAGE_MAX: usize = 100_000;
@@ -70,7 +76,7 @@ pub struct Config {
         default_value = "127.0.0.1:8080"
     )]
     pub listen: Vec<String>,
-    /// Threads of the compute pool: long advances and large bodies wait for one of them; the processor is shared.
+    /// How many long advances run at once; they share the processor, further ones wait.
     #[arg(long, value_name = "N", env = "POINTMASS_THREADS", default_value_t = default_threads(), value_parser = positive)]
     pub threads: usize,
     /// Threads that read requests and write answers.
@@ -80,7 +86,7 @@ pub struct Config {
     #[arg(long, value_name = "NAME", env = "POINTMASS_ALLOW_HOST", value_delimiter = ',')]
     pub allow_host: Vec<String>,
     /// A web origin, like <https://example.org>, whose pages may use the service; repeatable.
-    #[arg(long, value_name = "ORIGIN", env = "POINTMASS_ALLOW_ORIGIN", value_delimiter = ',')]
+    #[arg(long, value_name = "ORIGIN", env = "POINTMASS_ALLOW_ORIGIN", value_delimiter = ',', value_parser = origin)]
     pub allow_origin: Vec<String>,
     /// A file with one token a line; every request but health checks must carry one of them.
     #[arg(long, value_name = "PATH", env = "POINTMASS_TOKEN_FILE")]
@@ -97,16 +103,19 @@ pub struct Config {
     /// The most worlds.
     #[arg(long, value_name = "N", env = "POINTMASS_WORLDS_MAX", default_value_t = 10_000)]
     pub worlds_max: usize,
-    /// The most particles of a world: about 150 MB when every property differs.
+    /// The most particles of a world.
     #[arg(long, value_name = "N", env = "POINTMASS_PARTICLES_MAX", default_value_t = 1_000_000)]
     pub particles_max: u64,
+    /// The most memory of all worlds together, counted as 256 bytes for each particle.
+    #[arg(long, value_name = "BYTES", env = "POINTMASS_MEMORY_BYTES_MAX", default_value_t = 2 << 30)]
+    pub memory_bytes_max: u64,
     /// The most steps of one advance.
     #[arg(long, value_name = "N", env = "POINTMASS_STEPS_MAX", default_value_t = 1_000_000)]
     pub steps_max: u64,
-    /// The most steps x particles of one advance: about a minute of one core.
+    /// The most steps x particles of one advance: some seconds of one core.
     #[arg(long, value_name = "N", env = "POINTMASS_PARTICLE_STEPS_MAX", default_value_t = 20_000_000_000)]
     pub particle_steps_max: u64,
-    /// The largest request body: two hundred thousand particles in JSON.
+    /// The largest request body where it speaks of many particles: two hundred thousand of them; elsewhere 1 MiB.
     #[arg(long, value_name = "BYTES", env = "POINTMASS_BODY_BYTES_MAX", default_value_t = 64 << 20)]
     pub body_bytes_max: usize,
     /// The most connections at once; further ones wait to be accepted.
@@ -124,19 +133,24 @@ pub struct Config {
 }
 
 impl Default for Config {
+    /// The defaults of the command line; the environment has no say.
     fn default() -> Self {
-        #[derive(Parser)]
-        struct Defaults {
-            #[command(flatten)]
-            config: Config,
-        }
-        Defaults::parse_from(["pointmass"]).config
+        let mut command = Self::augment_args(clap::Command::new("pointmass"));
+        command = command.mut_args(|arg| arg.env(Resettable::Reset));
+        let matches = command.get_matches_from(["pointmass"]);
+        Self::from_arg_matches(&matches).expect("every option has a default")
     }
 }
 
 impl Config {
     pub(crate) fn limits(&self) -> Limits {
         Limits { particles: self.particles_max, steps: self.steps_max, particle_steps: self.particle_steps_max }
+    }
+
+    /// Threads of the compute pool: one for each long advance, and some that those never take.
+    #[must_use]
+    pub fn pool_threads(&self) -> usize {
+        self.threads + default_threads()
     }
 
     pub(crate) fn body_timeout(&self) -> Duration {
@@ -170,7 +184,18 @@ fn default_workers() -> usize {
 fn positive(text: &str) -> Result<usize, String> {
     match text.parse() {
         Ok(0) => Err("must be at least 1".to_owned()),
+        Ok(n) if n > Semaphore::MAX_PERMITS => Err(format!("must be at most {}", Semaphore::MAX_PERMITS)),
         Ok(n) => Ok(n),
         Err(error) => Err(format!("{error}")),
+    }
+}
+
+/// An origin as browsers send it: scheme, host, port, and nothing behind.
+fn origin(text: &str) -> Result<String, String> {
+    let origin = text.strip_suffix('/').unwrap_or(text);
+    let rest = origin.strip_prefix("https://").or_else(|| origin.strip_prefix("http://"));
+    match rest {
+        Some(host) if !host.is_empty() && !host.contains(['/', '*', ' ']) => Ok(origin.to_ascii_lowercase()),
+        Some(_) | None => Err("is not an origin like https://example.org".to_owned()),
     }
 }

@@ -1,8 +1,7 @@
 //! What every handler takes from a request, in the order in which a request can be refused.
 
 use std::sync::Arc;
-
-use std::future::Future;
+use std::time::Duration;
 
 use axum::body::{Body, Bytes};
 use axum::extract::{FromRequest, FromRequestParts, Query, RawPathParams, Request};
@@ -14,7 +13,7 @@ use serde::de::DeserializeOwned;
 
 use crate::ids::ParticleId;
 use crate::server::App;
-use crate::server::config::BODY_BYTES_MAX;
+use crate::server::config::{BODY_BYTES_MAX, PAGE_DEFAULT, PAGE_MAX, SMALL_BODY_BYTES_MAX};
 use crate::server::problem::{Code, Problem};
 
 /// The names in the path.
@@ -66,19 +65,28 @@ impl Change {
     pub(crate) fn query<Q: DeserializeOwned>(&self) -> Result<Q, Problem> {
         query(&self.uri)
     }
-
-    /// A change without headers, for tests below the router.
-    #[cfg(test)]
-    pub(crate) fn to_world(name: &str, body: Bytes) -> Self {
-        let target = Target { world: name.to_owned(), particle: None };
-        Self { target, preconditions: Preconditions::new(&HeaderMap::new()), body, uri: Uri::from_static("/") }
-    }
 }
 
 fn query<Q: DeserializeOwned>(uri: &Uri) -> Result<Q, Problem> {
-    Query::try_from_uri(uri)
-        .map(|Query(query)| query)
-        .map_err(|error| Problem::new(Code::InvalidParameter, error.body_text()))
+    Query::try_from_uri(uri).map(|Query(query)| query).map_err(|error| {
+        let detail = error.body_text();
+        let reason = detail.strip_prefix("Failed to deserialize query string: ").unwrap_or(&detail);
+        Problem::new(Code::InvalidParameter, format!("the parameters after ? are not right: {reason}"))
+    })
+}
+
+/// The `limit` of a list.
+pub(crate) fn page_limit(limit: Option<usize>) -> Result<usize, Problem> {
+    match limit {
+        None => Ok(PAGE_DEFAULT),
+        Some(limit) if (1..=PAGE_MAX).contains(&limit) => Ok(limit),
+        Some(_) => Err(Problem::new(Code::InvalidParameter, format!("limit is a number from 1 to {PAGE_MAX}"))),
+    }
+}
+
+/// Refuses query parameters on routes that take none.
+pub(crate) fn no_parameters(uri: &Uri) -> Result<(), Problem> {
+    query::<NoParameters>(uri).map(|NoParameters {}| ())
 }
 
 /// For routes without query parameters.
@@ -107,7 +115,11 @@ impl FromRequest<Arc<App>> for Change {
         check_accept(&parts.headers)?;
         check_content(&parts.headers)?;
         let target = target(&mut parts, state).await?;
-        let body = read_body(&parts.headers, body, state).await?;
+        // Only what can speak of many particles has a large body.
+        let is_bulk = parts.uri.path().ends_with("/particles") || parts.uri.path().ends_with("/forces");
+        let limit = state.config.body_bytes_max;
+        let limit = if is_bulk { limit } else { limit.min(SMALL_BODY_BYTES_MAX) };
+        let body = read_body(&parts.headers, body, limit, state.config.body_timeout()).await?;
         Ok(Self { target, preconditions: Preconditions::new(&parts.headers), body, uri: parts.uri })
     }
 }
@@ -131,29 +143,20 @@ fn canonical_id(text: &str) -> Option<ParticleId> {
     text.parse().ok().filter(|id: &u64| id.to_string() == text).map(ParticleId)
 }
 
-fn read_body(
-    headers: &HeaderMap,
-    body: Body,
-    state: &Arc<App>,
-) -> impl Future<Output = Result<Bytes, Problem>> + use<> {
-    let limit = state.config.body_bytes_max;
-    let timeout = state.config.body_timeout();
+async fn read_body(headers: &HeaderMap, body: Body, limit: usize, timeout: Duration) -> Result<Bytes, Problem> {
+    let too_large =
+        || Problem::new(Code::BodyTooLarge, format!("the body is larger than {limit} bytes (--{BODY_BYTES_MAX})"));
     let declared = headers.get(header::CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse::<usize>().ok());
-    async move {
-        let too_large =
-            || Problem::new(Code::BodyTooLarge, format!("the body is larger than {limit} bytes (--{BODY_BYTES_MAX})"));
-        if declared.is_some_and(|length| length > limit) {
-            return Err(too_large());
+    if declared.is_some_and(|length| length > limit) {
+        return Err(too_large());
+    }
+    match tokio::time::timeout(timeout, Limited::new(body, limit).collect()).await {
+        Err(_) => {
+            Err(Problem::new(Code::BodyTimeout, format!("the body did not arrive within {} ms", timeout.as_millis())))
         }
-        match tokio::time::timeout(timeout, Limited::new(body, limit).collect()).await {
-            Err(_) => Err(Problem::new(
-                Code::BodyTimeout,
-                format!("the body did not arrive within {} ms", timeout.as_millis()),
-            )),
-            Ok(Ok(body)) => Ok(body.to_bytes()),
-            Ok(Err(error)) if error.is::<http_body_util::LengthLimitError>() => Err(too_large()),
-            Ok(Err(_)) => Err(Problem::new(Code::MalformedJson, "the body was cut short")),
-        }
+        Ok(Ok(body)) => Ok(body.to_bytes()),
+        Ok(Err(error)) if error.is::<http_body_util::LengthLimitError>() => Err(too_large()),
+        Ok(Err(_)) => Err(Problem::new(Code::MalformedJson, "the body was cut short")),
     }
 }
 
@@ -161,11 +164,14 @@ fn read_body(
 fn check_content(headers: &HeaderMap) -> Result<(), Problem> {
     let unsupported = |detail: String| Err(Problem::new(Code::UnsupportedMediaType, detail));
     if let Some(encoding) = headers.get(header::CONTENT_ENCODING)
-        && encoding != "identity"
+        && !encoding.as_bytes().eq_ignore_ascii_case(b"identity")
     {
         return unsupported(format!("a body with Content-Encoding {encoding:?} is not read; send it as it is"));
     }
     let Some(content_type) = headers.get(header::CONTENT_TYPE) else { return Ok(()) };
+    if content_type.is_empty() {
+        return Ok(());
+    }
     let text = content_type.to_str().unwrap_or_default();
     let readable = MediaType::parse(text).is_ok_and(|media| {
         media.ty == names::TEXT
@@ -209,7 +215,7 @@ fn check_accept(headers: &HeaderMap) -> Result<(), Problem> {
 }
 
 /// If-Match and If-None-Match.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Preconditions {
     if_match: Option<Vec<String>>,
     if_none_match: Option<Vec<String>>,

@@ -9,12 +9,12 @@ use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use axum::extract::{MatchedPath, Request, State};
-use axum::http::{HeaderMap, HeaderName, HeaderValue, Version, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Version, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
-use tower_http::cors::{Any, CorsLayer};
+use tower_http::cors::{AllowHeaders, Any, CorsLayer};
 
 use crate::server::App;
 use crate::server::config::Config;
@@ -27,7 +27,7 @@ const REQUEST_ID_BYTES_MAX: usize = 128;
 /// One layer for all of it: each layer costs every request about half a microsecond.
 pub(crate) async fn front(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
     let id = match request.headers().get(REQUEST_ID) {
-        Some(id) if id.len() <= REQUEST_ID_BYTES_MAX => id.clone(),
+        Some(id) if (1..=REQUEST_ID_BYTES_MAX).contains(&id.len()) => id.clone(),
         Some(_) | None => app.request_ids.next(),
     };
     let method = request.method().clone();
@@ -39,6 +39,9 @@ pub(crate) async fn front(State(app): State<Arc<App>>, request: Request, next: N
         Err(problem) => problem.into_response(),
     };
     let route = route.as_ref().map_or("none", MatchedPath::as_str);
+    if response.status().is_server_error() && response.status() != StatusCode::SERVICE_UNAVAILABLE {
+        tracing::error!(request_id = ?id, %method, route, status = response.status().as_u16(), "defect");
+    }
     app.metrics.answered(&method, route, response.status());
     tracing::debug!(request_id = ?id, %method, route, status = response.status().as_u16(), "answer");
     response.headers_mut().insert(REQUEST_ID, id);
@@ -59,6 +62,10 @@ impl InFlight {
     fn enter(&self) -> Entered<'_> {
         self.count.fetch_add(1, Ordering::SeqCst);
         Entered(self)
+    }
+
+    pub(crate) fn count(&self) -> u64 {
+        self.count.load(Ordering::SeqCst)
     }
 
     /// Waits until there is none.
@@ -120,11 +127,17 @@ fn admit(app: &App, request: &Request, route: Option<&MatchedPath>) -> Result<()
         return Err(Problem::new(Code::HostNotAllowed, detail));
     }
     check_origin(headers, host, &app.config.allow_origin)?;
+    // What a browser asks first, for the page of an allowed origin, carries no token.
+    if request.method() == Method::OPTIONS && headers.contains_key(header::ACCESS_CONTROL_REQUEST_METHOD) {
+        return Ok(());
+    }
     // Health checks come from machinery that has no secret, and tell none; they are answered to the end.
-    let open = route.is_some_and(|route| matches!(route.as_str(), "/healthz" | "/readyz"));
-    if !open && app.draining.load(Ordering::SeqCst) {
+    let health = route.is_some_and(|route| matches!(route.as_str(), "/healthz" | "/readyz"));
+    if !health && app.draining.load(Ordering::SeqCst) {
         return Err(Problem::plain(Code::ShuttingDown));
     }
+    // What explains a refusal is no secret either.
+    let open = health || route.is_some_and(|route| route.as_str() == "/problems/{code}");
     match &app.tokens {
         Some(tokens) if !open && !tokens.admit(headers) => Err(Problem::plain(Code::Unauthorized)),
         Some(_) | None => Ok(()),
@@ -148,9 +161,15 @@ fn host(request: &Request) -> Result<Option<&str>, Problem> {
 /// A loopback name, an address, or an allowed name; the port does not matter. A page that reached this service through
 /// a name of its own (DNS rebinding) has that name here.
 fn is_host_allowed(host: &str, allowed: &[String]) -> bool {
-    let name = match host.strip_prefix('[') {
-        Some(rest) => return rest.split_once(']').is_some_and(|(address, _)| address.parse::<Ipv6Addr>().is_ok()),
-        None => host.rsplit_once(':').map_or(host, |(name, _port)| name),
+    let is_port = |port: &str| port.bytes().all(|byte| byte.is_ascii_digit());
+    if let Some(rest) = host.strip_prefix('[') {
+        let Some((address, port)) = rest.split_once(']') else { return false };
+        return address.parse::<Ipv6Addr>().is_ok() && port.strip_prefix(':').map_or(port.is_empty(), is_port);
+    }
+    let name = match host.rsplit_once(':') {
+        Some((name, port)) if is_port(port) => name,
+        Some(_) => return false,
+        None => host,
     };
     let name = name.strip_suffix('.').unwrap_or(name).to_ascii_lowercase();
     name == "localhost"
@@ -170,7 +189,7 @@ fn check_origin(headers: &HeaderMap, host: Option<&str>, allowed: &[String]) -> 
         if allowed.iter().any(|allowed| allowed == origin) {
             return Ok(());
         }
-        if origin.strip_prefix("http://") != host {
+        if host.is_none() || origin.strip_prefix("http://") != host {
             return refused(origin);
         }
     }
@@ -187,7 +206,13 @@ pub(crate) fn cors(config: &Config) -> Option<CorsLayer> {
         return None;
     }
     let exposed = [header::ETAG, header::LOCATION, header::RETRY_AFTER, REQUEST_ID];
-    Some(CorsLayer::new().allow_origin(origins).allow_methods(Any).allow_headers(Any).expose_headers(exposed))
+    Some(
+        CorsLayer::new()
+            .allow_origin(origins)
+            .allow_methods(Any)
+            .allow_headers(AllowHeaders::mirror_request())
+            .expose_headers(exposed),
+    )
 }
 
 /// The tokens that open the service; only their hashes are kept.
@@ -266,9 +291,17 @@ mod tests {
         ] {
             assert!(is_host_allowed(host, &allowed), "{host}");
         }
-        for host in
-            ["evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "[evil]", "", "physics.example.evil"]
-        {
+        for host in [
+            "evil.example",
+            "localhost.evil.example",
+            "127.0.0.1.evil.example",
+            "[evil]",
+            "",
+            "[::1].evil.example",
+            "[::1]:80x",
+            "127.0.0.1:80@evil.example",
+            "physics.example.evil",
+        ] {
             assert!(!is_host_allowed(host, &allowed), "{host}");
         }
     }

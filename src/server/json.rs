@@ -7,6 +7,7 @@ use serde::de::value::MapAccessDeserializer;
 use serde::de::{Deserialize, DeserializeOwned, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde::ser::{Serialize, Serializer};
 use serde_path_to_error::{Path, Segment};
+use utoipa::openapi::schema::{ObjectBuilder, Schema, Type};
 
 use crate::column::Column;
 use crate::real::Real;
@@ -38,7 +39,13 @@ pub(crate) fn parse_part<'a, T: Deserialize<'a>>(text: &'a str, prefix: &str) ->
 }
 
 fn explain(error: &serde_path_to_error::Error<serde_json::Error>, prefix: &str) -> Problem {
-    let detail = error.inner().to_string();
+    let mut detail = error.inner().to_string();
+    // Inside a part, line and column would be those of the part.
+    if !prefix.is_empty()
+        && let Some(end) = detail.rfind(" at line ")
+    {
+        detail.truncate(end);
+    }
     // serde has no error codes; these beginnings are those of its own constructors and of serde_json.
     let code = [
         ("unknown field", Code::UnknownField),
@@ -203,6 +210,12 @@ impl<'de, T: Choice> Deserialize<'de> for Named<T> {
         }
         deserializer.deserialize_str(Name(PhantomData))
     }
+}
+
+/// The names, for the description of the service.
+pub(crate) fn choices<T: Choice>() -> Schema {
+    let names: Vec<&str> = T::ALL.iter().map(|choice| choice.name()).collect();
+    Schema::Object(ObjectBuilder::new().schema_type(Type::String).enum_values(Some(names)).build())
 }
 
 impl<T: Choice> Serialize for Named<T> {

@@ -98,11 +98,17 @@ async fn bind_unix(path: &Path) -> io::Result<Listener> {
             return Err(io::ErrorKind::AddrInUse.into());
         }
         std::fs::remove_file(path)?;
+    } else if path.exists() {
+        return Err(io::Error::new(io::ErrorKind::AlreadyExists, "there is a file that is not a socket"));
     }
     let listener = UnixListener::bind(path)?;
     std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o600))?;
     Ok(Listener::Unix(listener, path.to_owned()))
 }
+
+/// Once every request is answered: how long its client may take to read the answer, and one with half a request to
+/// send the rest.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Answers on all listeners until `shutdown` resolves; then finishes what is in flight, within the drain timeout.
 ///
@@ -127,8 +133,10 @@ pub async fn serve(listeners: Vec<Listener>, app: Arc<App>, shutdown: impl Futur
         stop.send_replace(());
         while accepting.join_next().await.is_some() {}
         // The accept loops, which had the other handles, have ended.
-        if let Some(connections) = Arc::into_inner(connections) {
-            connections.graceful.shutdown().await;
+        if let Some(connections) = Arc::into_inner(connections)
+            && tokio::time::timeout(CLOSE_TIMEOUT, connections.graceful.shutdown()).await.is_err()
+        {
+            tracing::info!("closed connections with half a request, or with an answer that nobody took");
         }
     };
     if tokio::time::timeout(Duration::from_millis(app.config.drain_timeout_ms), drained).await.is_err() {
@@ -164,19 +172,25 @@ async fn accept(listener: Listener, connections: Arc<Connections>, mut stopped: 
 }
 
 impl Connections {
-    /// Waits for a place and for a client.
+    /// Waits for a client, and for a place for it.
     async fn accept(&self, listener: &Listener) -> io::Result<()> {
-        let permit = Arc::clone(&self.permits).acquire_owned().await.expect("the semaphore is never closed");
         match listener {
             Listener::Tcp(listener) => {
                 let (stream, _) = listener.accept().await?;
                 // Answers are small; without this one could wait for the acknowledgement of the one before.
                 stream.set_nodelay(true)?;
-                self.answer(stream, permit);
+                self.answer(stream, self.place().await);
             }
-            Listener::Unix(listener, _) => self.answer(listener.accept().await?.0, permit),
+            Listener::Unix(listener, _) => {
+                let (stream, _) = listener.accept().await?;
+                self.answer(stream, self.place().await);
+            }
         }
         Ok(())
+    }
+
+    async fn place(&self) -> OwnedSemaphorePermit {
+        Arc::clone(&self.permits).acquire_owned().await.expect("the semaphore is never closed")
     }
 
     fn answer(&self, stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, permit: OwnedSemaphorePermit) {

@@ -9,6 +9,7 @@ mod front;
 mod healthcheck;
 mod json;
 mod listen;
+mod memory;
 mod metrics;
 mod openapi;
 mod problem;
@@ -41,6 +42,7 @@ pub struct App {
     pub(crate) config: Config,
     pub(crate) tokens: Option<Tokens>,
     pub(crate) worlds: Registry<AnySlot>,
+    pub(crate) shared: slot::Shared,
     pub(crate) metrics: Metrics,
     /// Set once the service is to end: not ready for new work.
     pub(crate) draining: AtomicBool,
@@ -58,6 +60,10 @@ impl App {
         Ok(Arc::new(Self {
             tokens: config.token_file.as_deref().map(Tokens::read).transpose()?,
             worlds: Registry::new(config.worlds_max),
+            shared: slot::Shared {
+                memory: memory::Memory::new(config.memory_bytes_max),
+                long_places: Arc::new(tokio::sync::Semaphore::new(config.threads)),
+            },
             metrics: Metrics::default(),
             draining: AtomicBool::new(false),
             in_flight: front::InFlight::default(),
@@ -85,19 +91,19 @@ fn documented_routes() -> OpenApiRouter<Arc<App>> {
 /// The service as a function of requests, without a network.
 pub fn router(app: &Arc<App>) -> Router {
     let (routes, _) = documented_routes().split_for_parts();
-    with_layers(routes.merge(openapi::docs_page()), app)
+    with_layers(routes, app)
 }
 
 fn with_layers(routes: Router<Arc<App>>, app: &Arc<App>) -> Router {
     let routes = routes
         .fallback(|| async { Problem::plain(Code::UnknownRoute) })
         .method_not_allowed_fallback(|| async { Problem::plain(Code::MethodNotAllowed) })
-        .layer(CatchPanicLayer::custom(front::on_panic))
-        .layer(axum::middleware::from_fn_with_state(Arc::clone(app), front::front));
+        .layer(CatchPanicLayer::custom(front::on_panic));
     let routes = match front::cors(&app.config) {
         Some(cors) => routes.layer(cors),
         None => routes,
     };
+    let routes = routes.layer(axum::middleware::from_fn_with_state(Arc::clone(app), front::front));
     routes.with_state(Arc::clone(app))
 }
 

@@ -1,25 +1,15 @@
 //! The `OpenAPI` description: paths and bodies come from the routes, what all of them share is added here.
 
-use std::sync::Arc;
-
-use axum::Router;
 use utoipa::openapi::header::Header;
-use utoipa::openapi::path::{HttpMethod, Operation, OperationBuilder, Parameter, ParameterBuilder, ParameterIn};
+use utoipa::openapi::path::{Operation, Parameter, ParameterBuilder, ParameterIn};
 use utoipa::openapi::schema::{Object, Schema, Type};
 use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{
     ContentBuilder, InfoBuilder, LicenseBuilder, OpenApi, PathItem, Ref, RefOr, Required, ResponseBuilder, Tag,
 };
 use utoipa::{PartialSchema, ToSchema};
-use utoipa_swagger_ui::{Config, SwaggerUi};
 
-use crate::server::App;
 use crate::server::problem::{Code, ProblemBody};
-
-/// The page over the description; its scripts are part of the binary.
-pub(crate) fn docs_page() -> Router<Arc<App>> {
-    SwaggerUi::new("/docs").config(Config::from("/openapi.json")).into()
-}
 
 /// The whole description as JSON.
 pub(crate) fn document(mut api: OpenApi) -> Vec<u8> {
@@ -56,7 +46,6 @@ pub(crate) fn document(mut api: OpenApi) -> Vec<u8> {
         )),
     );
     api.security = Some(vec![SecurityRequirement::default(), SecurityRequirement::new("token", Vec::<String>::new())]);
-    api.paths.paths.insert("/docs/".to_owned(), PathItem::new(HttpMethod::Get, docs_operation()));
     for (path, item) in &mut api.paths.paths {
         for (method, operation) in operations(item) {
             complete(path, method, operation);
@@ -65,18 +54,6 @@ pub(crate) fn document(mut api: OpenApi) -> Vec<u8> {
     // Shapes are generic over the precision; the description shows them once, without the name of the type.
     let text = api.to_pretty_json().expect("a description is plain data").replace("_f64", "");
     (text + "\n").into_bytes()
-}
-
-/// The page comes from a library, so that its description stands here.
-fn docs_operation() -> Operation {
-    let content = ContentBuilder::new().schema(Some(Schema::Object(Object::with_type(Type::String)))).build();
-    let page = ResponseBuilder::new().description("A page").content("text/html", content);
-    OperationBuilder::new()
-        .operation_id(Some("docs"))
-        .tag("service")
-        .summary(Some("A page over this description"))
-        .response("200", page)
-        .build()
 }
 
 const INTRODUCTION: &str = "Worlds of point-mass particles: create, set, advance by a duration, read. \
@@ -164,24 +141,23 @@ fn parameter(name: &str, place: ParameterIn, description: &str, schema: Type) ->
 /// Every problem that a route can answer with. A test holds each refusal it sees against this.
 pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
     let mut codes = vec![Code::HostNotAllowed, Code::CrossOrigin, Code::InternalError];
-    let open = matches!(path, "/healthz" | "/readyz");
+    let open = matches!(path, "/healthz" | "/readyz" | "/problems/{code}");
     if !open {
         codes.push(Code::Unauthorized);
     }
     if path != "/healthz" {
         codes.push(Code::ShuttingDown);
     }
-    if path == "/problems/{code}" {
+    codes.push(Code::InvalidParameter);
+    if matches!(path, "/problems/{code}" | "/docs/{asset}") {
         codes.push(Code::UnknownRoute);
     }
     if !path.starts_with("/v1") {
         return codes;
     }
-    codes.extend([Code::NotAcceptable, Code::InvalidParameter]);
-    if path.contains("{world}") {
-        if operation != "create_world" {
-            codes.extend([Code::UnknownWorld, Code::WorldQuarantined]);
-        }
+    codes.push(Code::NotAcceptable);
+    if path.contains("{world}") && operation != "create_world" {
+        codes.extend([Code::UnknownWorld, Code::WorldQuarantined]);
     }
     if path.contains("{id}") {
         codes.push(Code::UnknownParticle);
@@ -246,6 +222,7 @@ pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
             Code::StepsAndMaxStep,
             Code::ClockOutOfRange,
             Code::ComputeBudget,
+            Code::LimitReached,
             Code::Diverged,
         ]),
         _ => {}

@@ -1,9 +1,9 @@
 //! One world in the service: who may touch it, when, and on which thread.
 //!
 //! A world is behind an asynchronous lock that serves in the order of asking. Whoever gets it does one whole operation:
-//! at once when it is short, on a thread of the compute pool when it is long, to which the lock moves along. So a task
-//! never waits while it holds a world, a long advance takes no thread that answers requests, each world has at most one
-//! job in the pool, and requests for other worlds do not notice.
+//! at once when it is short, on a thread of the compute pool when it takes a while, to which the lock moves along. A long
+//! one first takes one of a few places, before it takes the world: so a long advance takes no thread that answers
+//! requests, and however many there are, the pool has threads left for everything else.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -11,21 +11,22 @@ use std::sync::{Arc, Mutex, PoisonError};
 use axum::body::Body;
 use axum::http::{StatusCode, header};
 use axum::response::Response;
-use tokio::sync::OwnedMutexGuard;
+use tokio::sync::{OwnedMutexGuard, Semaphore};
 
-use crate::command::Command;
-use crate::ids::ParticleId;
 use crate::real::Real;
-use crate::server::extract::{Change, NoParameters, Preconditions, Target, etag};
+use crate::server::extract::{Preconditions, Target, etag};
 use crate::server::json::WireReal;
+use crate::server::memory::{Charge, Memory, PARTICLE_BYTES};
 use crate::server::problem::{Code, Problem};
-use crate::server::routes::particles::apply_to_one;
 use crate::server::wire::Description;
 use crate::world::World;
 
 /// Work, in particle-steps or numbers to write, that is done on the spot: about a tenth of a millisecond. Moving it to
 /// another thread and back costs a fifth of that.
 const INLINE_WORK: u64 = 20_000;
+
+/// Work that takes one of the places for long advances: some tens of milliseconds.
+const LONG_WORK: u64 = 1 << 25;
 
 /// Bytes of a body that are parsed on the spot: about as long.
 const INLINE_BYTES: usize = 32 << 10;
@@ -54,6 +55,7 @@ pub(crate) struct Slot<R: WireReal> {
     world: Arc<tokio::sync::Mutex<Held<R>>>,
     /// The description after the last change, for lists that must not wait for a long advance.
     description: Mutex<Description<R>>,
+    shared: Shared,
 }
 
 #[derive(Debug)]
@@ -62,6 +64,30 @@ pub(crate) struct Held<R: Real> {
     world: Option<World<R>>,
     /// A change began and did not come to its end: a defect interrupted it.
     interrupted: bool,
+    charge: Charge,
+}
+
+/// What all worlds of a service share.
+#[derive(Debug, Clone)]
+pub(crate) struct Shared {
+    pub(crate) memory: Arc<Memory>,
+    /// Places for long advances: `--threads` of them.
+    pub(crate) long_places: Arc<Semaphore>,
+}
+
+/// What a change costs.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Cost {
+    /// Particle-steps, or numbers to read or write.
+    pub(crate) work: u64,
+    /// Bytes that it takes from the budget.
+    pub(crate) bytes: u64,
+}
+
+impl Cost {
+    pub(crate) fn of(work: u64) -> Self {
+        Self { work, bytes: 0 }
+    }
 }
 
 /// What a change answers.
@@ -111,9 +137,10 @@ impl Drop for CancelOnDrop {
 }
 
 impl<R: WireReal> Slot<R> {
-    pub(crate) fn new(name: &str, world: World<R>) -> Self {
+    pub(crate) fn new(name: &str, world: World<R>, shared: &Shared) -> Self {
         let description = Mutex::new(Description::new(name, &world));
-        Self { world: Arc::new(tokio::sync::Mutex::new(Held { world: Some(world), interrupted: false })), description }
+        let held = Held { world: Some(world), interrupted: false, charge: Charge::none(&shared.memory) };
+        Self { world: Arc::new(tokio::sync::Mutex::new(held)), description, shared: shared.clone() }
     }
 
     pub(crate) fn description(&self) -> Description<R> {
@@ -122,33 +149,54 @@ impl<R: WireReal> Slot<R> {
 
     /// Changes the world: waits for its turn, checks in the order of the contract, applies, publishes.
     ///
-    /// `work` estimates what `apply` costs.
+    /// `cost` estimates what `apply` costs.
     pub(crate) async fn change<T: Send + 'static>(
         self: &Arc<Self>,
         target: &Target,
         preconditions: &Preconditions,
         parsed: Result<T, Problem>,
-        work: impl FnOnce(&World<R>, &T) -> u64,
+        cost: impl Fn(&World<R>, &T) -> Cost,
         apply: impl FnOnce(&mut World<R>, T, &AtomicBool) -> Result<Reply, Problem> + Send + 'static,
     ) -> Result<Response, Problem> {
-        let mut held = self.lock(target).await?;
-        let world = held.world(target)?;
-        if let Err(problem) = &parsed
-            && problem.code == Code::MalformedJson
-        {
-            return Err(problem.clone());
-        }
-        preconditions.check(world.revision())?;
-        let parsed = parsed?;
-        let work = work(world, &parsed);
+        let mut place = None;
+        let mut turn = loop {
+            let mut held = self.lock(target).await?;
+            let world = held.world(target)?;
+            if let Err(problem) = &parsed
+                && problem.code == Code::MalformedJson
+            {
+                return Err(problem.clone());
+            }
+            preconditions.check(world.revision())?;
+            let cost = match &parsed {
+                Ok(parsed) => cost(world, parsed),
+                Err(problem) => return Err(problem.clone()),
+            };
+            if cost.work > LONG_WORK && place.is_none() {
+                place = Arc::clone(&self.shared.long_places).try_acquire_owned().ok();
+                if place.is_none() {
+                    // Others may use the world meanwhile.
+                    drop(held);
+                    let free = Arc::clone(&self.shared.long_places).acquire_owned().await;
+                    place = Some(free.expect("the semaphore is never closed"));
+                    continue;
+                }
+            }
+            held.charge.grow(cost.bytes)?;
+            break (held, cost.work);
+        };
+        let (parsed, work) = (parsed?, turn.1);
         let slot = Arc::clone(self);
         run(work, move |cancelled| {
+            let held = &mut *turn.0;
             held.interrupted = true;
             let world = held.world.as_mut().expect("it was there above, under the same lock");
             let reply = apply(world, parsed, cancelled);
             let revision = world.revision();
+            held.charge.shrink_to(world.particle_count() as u64 * PARTICLE_BYTES);
             slot.description.lock().unwrap_or_else(PoisonError::into_inner).update(world);
             held.interrupted = false;
+            drop(place);
             Ok(reply?.into_response(Some(revision)))
         })
         .await
@@ -197,6 +245,7 @@ impl<R: WireReal> Slot<R> {
         preconditions.check(world.revision())?;
         query?;
         held.world = None;
+        held.charge.shrink_to(0);
         forget();
         Ok(Reply::no_content().into_response(None))
     }
@@ -229,32 +278,6 @@ pub(crate) fn unknown_world(name: &str) -> Problem {
     Problem::new(Code::UnknownWorld, format!("there is no world {name:?}; create it with PUT /v1/worlds/{{world}}"))
 }
 
-impl Change {
-    /// Changes the world of the path by a body without query parameters.
-    pub(crate) async fn apply<R: WireReal, T: Send + 'static>(
-        &self,
-        slot: &Arc<Slot<R>>,
-        parsed: Result<T, Problem>,
-        work: impl FnOnce(&World<R>, &T) -> u64,
-        apply: impl FnOnce(&mut World<R>, T, &AtomicBool) -> Result<Reply, Problem> + Send + 'static,
-    ) -> Result<Response, Problem> {
-        let parsed = parsed.and_then(|parsed| self.query::<NoParameters>().map(|_| parsed));
-        slot.change(&self.target, &self.preconditions, parsed, work, apply).await
-    }
-
-    /// Changes the particle of the path by one command; the answer is the particle.
-    pub(crate) async fn apply_to_one<R: WireReal>(
-        &self,
-        slot: &Arc<Slot<R>>,
-        read: impl FnOnce(&[u8], ParticleId) -> Result<Command<R>, Problem>,
-    ) -> Result<Response, Problem> {
-        // An unknown particle is told before anything about the body.
-        let id = self.target.particle().unwrap_or(ParticleId(u64::MAX));
-        let command = read(&self.body, id);
-        self.apply(slot, command, |_, _| 0, move |world, command, _| apply_to_one(world, id, &command)).await
-    }
-}
-
 /// Runs a job here, or in the compute pool when it is long.
 async fn run<T: Send + 'static>(
     work: u64,
@@ -276,7 +299,7 @@ pub(crate) async fn parse<T: Send + 'static>(
     if body.len() <= INLINE_BYTES { parse(&body) } else { in_pool(move || parse(&body)).await }
 }
 
-/// The compute pool is tokio's pool of blocking threads, which `--threads` bounds and nothing else uses.
+/// The compute pool is tokio's pool of blocking threads, which nothing else uses.
 async fn in_pool<T: Send + 'static>(job: impl FnOnce() -> Result<T, Problem> + Send + 'static) -> Result<T, Problem> {
     match tokio::task::spawn_blocking(job).await {
         Ok(result) => result,
@@ -291,36 +314,63 @@ async fn in_pool<T: Send + 'static>(job: impl FnOnce() -> Result<T, Problem> + S
 mod tests {
     use std::sync::Arc;
 
-    use axum::body::Bytes;
+    use tokio::sync::Semaphore;
 
-    use super::{Code, Reply, Slot};
-    use crate::server::extract::Change;
+    use super::{Code, Cost, Reply, Shared, Slot};
+    use crate::server::extract::{Preconditions, Target};
+    use crate::server::memory::Memory;
     use crate::world::World;
+
+    fn shared() -> Shared {
+        Shared { memory: Memory::new(1 << 20), long_places: Arc::new(Semaphore::new(1)) }
+    }
 
     /// A panic in the middle of a change: nobody sees the half-changed world again, and it can be deleted.
     #[tokio::test]
     async fn a_world_with_an_interrupted_change_is_quarantined() {
+        let none = Preconditions::default();
         for work in [0, u64::MAX] {
-            let slot = Arc::new(Slot::new("a", World::<f64>::default()));
+            let slot = Arc::new(Slot::new("a", World::<f64>::default(), &shared()));
             let changing = Arc::clone(&slot);
             let change = async move {
-                let change = Change::to_world("a", Bytes::new());
-                changing
-                    .change(&change.target, &change.preconditions, Ok(()), |_, ()| work, |_, (), _| panic!("a defect"))
-                    .await
+                let (target, none) = (Target::default(), Preconditions::default());
+                changing.change(&target, &none, Ok(()), |_, ()| Cost::of(work), |_, (), _| panic!("a defect")).await
             };
             assert!(tokio::spawn(change).await.expect_err("it panicked").is_panic());
-            let change = Change::to_world("a", Bytes::new());
-            let next = slot.change(
-                &change.target,
-                &change.preconditions,
-                Ok(()),
-                |_, ()| 0,
-                |_, (), _| Ok(Reply::no_content()),
-            );
+            let target = Target::default();
+            let next = slot.change(&target, &none, Ok(()), |_, ()| Cost::default(), |_, (), _| Ok(Reply::no_content()));
             assert_eq!(next.await.expect_err("quarantined").code, Code::WorldQuarantined);
-            let removed = slot.remove(&change.target, &change.preconditions, Ok(()), || {});
+            let removed = slot.remove(&target, &none, Ok(()), || {});
             assert_eq!(removed.await.expect("it can be deleted").status(), 204);
         }
+    }
+
+    /// A long change that waits for a place leaves its world to others.
+    #[tokio::test]
+    async fn who_waits_for_a_place_holds_no_world() {
+        let shared = shared();
+        let slot = Arc::new(Slot::new("a", World::<f64>::default(), &shared));
+        let taken = Arc::clone(&shared.long_places).acquire_owned().await.expect("open");
+        let (target, none) = (Target::default(), Preconditions::default());
+        let mut long = std::pin::pin!(slot.change(
+            &target,
+            &none,
+            Ok(()),
+            |_, ()| Cost::of(u64::MAX),
+            |_, (), _| Ok(Reply::no_content())
+        ));
+        assert!(poll_once(long.as_mut()).await.is_none(), "it waits");
+        let short = slot.change(&target, &none, Ok(()), |_, ()| Cost::default(), |_, (), _| Ok(Reply::no_content()));
+        assert_eq!(short.await.expect("the world is free").status(), 204);
+        drop(taken);
+        assert_eq!(long.await.expect("its turn").status(), 204);
+    }
+
+    async fn poll_once<F: Future>(mut future: std::pin::Pin<&mut F>) -> Option<F::Output> {
+        std::future::poll_fn(|context| match future.as_mut().poll(context) {
+            std::task::Poll::Ready(output) => std::task::Poll::Ready(Some(output)),
+            std::task::Poll::Pending => std::task::Poll::Ready(None),
+        })
+        .await
     }
 }

@@ -10,7 +10,7 @@ use crate::command::{Command, Mass, NewParticles, Particle, Selection};
 use crate::ids::ParticleId;
 use crate::integrator::{DampingLaw, Integrator};
 use crate::real::Precision;
-use crate::server::json::{Choice, Element, Named, Object, Vector, WireReal, column, present};
+use crate::server::json::{Choice, Element, Named, Object, Vector, WireReal, choices, column, present};
 use crate::server::problem::{Code, Problem};
 use crate::world::{ParticleState, World};
 
@@ -80,16 +80,16 @@ pub(crate) enum NumberColumn {
 pub(crate) struct Description<R: WireReal> {
     world: String,
     /// `double` or `single`, fixed at creation.
-    #[schema(value_type = String)]
+    #[schema(schema_with = choices::<Precision>)]
     precision: Named<Precision>,
     /// `exact`, `newton_euler`, `newton_euler_quadratic` or `semi_implicit_euler`.
-    #[schema(value_type = String)]
+    #[schema(schema_with = choices::<Integrator>)]
     integrator: Named<Integrator>,
     /// In m/s².
     #[schema(value_type = VectorSchema)]
     gravity: [R; 3],
     /// `per_second` or `per_step`.
-    #[schema(value_type = String)]
+    #[schema(schema_with = choices::<DampingLaw>)]
     damping_law: Named<DampingLaw>,
     /// The longest step, in seconds, of an advance that names no steps.
     #[schema(required)]
@@ -273,7 +273,7 @@ pub(crate) struct ColumnsBody<'a> {
     #[schema(value_type = Option<VectorColumn>, nullable = false)]
     velocity: Option<&'a RawValue>,
     #[serde(borrow, default, deserialize_with = "present")]
-    #[schema(value_type = Option<AccelerationColumn>)]
+    #[schema(value_type = Option<AccelerationColumn>, nullable = false)]
     acceleration: Option<&'a RawValue>,
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<NumberColumn>, nullable = false)]
@@ -312,7 +312,7 @@ pub(crate) struct SetManyBody<'a> {
     ids: Option<Vec<u64>>,
     /// In m/s²; null: follow the gravity of the world again.
     #[serde(borrow, default, deserialize_with = "present")]
-    #[schema(value_type = Option<AccelerationColumn>)]
+    #[schema(value_type = Option<AccelerationColumn>, nullable = false)]
     acceleration: Option<&'a RawValue>,
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<NumberColumn>, nullable = false)]

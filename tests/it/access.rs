@@ -18,7 +18,7 @@ fn a_token_file_closes_everything_but_health_checks() {
         &[("authorization", "0123456789abcdef0123456789abcdef")],
     ] {
         for (method, route) in
-            [("GET", "/v1"), ("PUT", "/v1/worlds/a"), ("GET", "/metrics"), ("GET", "/openapi.json"), ("GET", "/docs/")]
+            [("GET", "/v1"), ("PUT", "/v1/worlds/a"), ("GET", "/metrics"), ("GET", "/openapi.json"), ("GET", "/docs")]
         {
             let answer = client.send(method, route, headers, (method == "PUT").then_some(b"{"));
             assert_eq!(answer.status, 401, "{method} {route} {headers:?}");
@@ -53,9 +53,10 @@ fn pages_of_the_own_and_of_allowed_origins_may_ask() {
     let asked = [
         ("origin", "https://game.example"),
         ("access-control-request-method", "PUT"),
-        ("access-control-request-headers", "if-match"),
+        ("access-control-request-headers", "if-match, authorization"),
     ];
     let preflight = client.send("OPTIONS", "/v1/worlds/a", &asked, None);
+    assert_eq!(preflight.header("access-control-allow-headers"), Some("if-match, authorization"));
     assert_eq!(preflight.header("access-control-allow-origin"), Some("https://game.example"));
     let answer = client.send("GET", "/v1", &asked[..1], None).expect(200);
     assert_eq!(answer.header("access-control-allow-origin"), Some("https://game.example"));

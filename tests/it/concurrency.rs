@@ -5,14 +5,14 @@ use std::thread;
 
 use serde_json::json;
 
-use crate::service::{Client, Service, wait_until_busy};
+use crate::service::{Client, Service, wait_for_in_flight};
 
-/// Two hundred million particle-steps: much longer than any other request of these tests.
+/// With two thousand particles two billion particle-steps: much longer than any other request of these tests.
 const LONG_ADVANCE: &str = "{\"duration\":1,\"steps\":1000000}";
 
 fn long_world(client: &mut Client, path: &str) {
     client.put(path, "{\"integrator\":\"newton_euler\"}").expect(201);
-    client.post(&format!("{path}/particles"), "{\"count\":200,\"velocity\":[1,0,0]}").expect(201);
+    client.post(&format!("{path}/particles"), "{\"count\":2000,\"velocity\":[1,0,0]}").expect(201);
 }
 
 #[test]
@@ -112,7 +112,7 @@ fn reads_wait_for_the_advance_before_them() {
         )
         .as_bytes(),
     );
-    wait_until_busy(service.address, "/v1/worlds/long");
+    wait_for_in_flight(service.address, 1);
     // This one was accepted after the advance, so it sees its result.
     assert_eq!(service.client().get("/v1/worlds/long").expect(200).json()["time"], 1.0);
     client.answer(false).expect(200);
@@ -134,7 +134,7 @@ fn a_client_that_goes_away_leaves_the_world_as_it_was() {
         )
         .as_bytes(),
     );
-    wait_until_busy(service.address, path);
+    wait_for_in_flight(service.address, 1);
     drop(leaving);
     let description = client.get(path).expect(200).json();
     assert_eq!((&description["time"], &description["revision"]), (&json!(0.0), &json!(1)));
@@ -151,12 +151,50 @@ fn a_deleted_world_is_gone_for_those_who_waited() {
         LONG_ADVANCE.len()
     );
     client.raw(request.as_bytes());
-    wait_until_busy(service.address, "/v1/worlds/long");
+    wait_for_in_flight(service.address, 1);
     thread::scope(|scope| {
         let delete = scope.spawn(|| service.client().delete("/v1/worlds/long").status);
-        let mut statuses = vec![delete.join().expect("a status")];
-        statuses.push(service.client().post("/v1/worlds/long/particles", "{}").status);
-        assert_eq!(statuses, [204, 404]);
+        wait_for_in_flight(service.address, 2);
+        // This one knows the world, and waits behind the one that deletes it.
+        let waiting = scope.spawn(|| service.client().post("/v1/worlds/long/particles", "{}").status);
+        wait_for_in_flight(service.address, 3);
+        assert_eq!((delete.join().expect("a status"), waiting.join().expect("a status")), (204, 404));
     });
     client.answer(false).expect(200);
+}
+
+/// However many long advances there are, short ones and reads of other worlds go on.
+#[test]
+fn long_advances_leave_room_for_everything_else() {
+    let service = Service::with(|config| config.threads = 1);
+    let mut client = service.client();
+    client.put("/v1/worlds/other", "").expect(201);
+    client.post("/v1/worlds/other/particles", "{\"count\":30000}").expect(201);
+    let mut long: Vec<Client> = (0..6)
+        .map(|n| {
+            let path = format!("/v1/worlds/long{n}");
+            long_world(&mut client, &path);
+            let mut advancing = service.client();
+            advancing.raw(
+                format!(
+                    "POST {path}/advance HTTP/1.1\r\nhost: localhost\r\ncontent-length: {}\r\n\r\n{LONG_ADVANCE}",
+                    LONG_ADVANCE.len()
+                )
+                .as_bytes(),
+            );
+            advancing
+        })
+        .collect();
+    wait_for_in_flight(service.address, 6);
+    for _ in 0..5 {
+        let state = client.get("/v1/worlds/other/state").expect(200).json();
+        assert_eq!(state["count"], 30_000);
+        client.post("/v1/worlds/other/advance", "{\"duration\":1}").expect(200);
+        // A world whose advance waits for its place is free.
+        client.get("/v1/worlds/long5").expect(200);
+    }
+    let still = client.get("/metrics").text().contains("\npointmass_in_flight 1\n");
+    assert!(!still, "the long ones are still at work");
+    drop(long.split_off(1));
+    long.remove(0).answer(false).expect(200);
 }

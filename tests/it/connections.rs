@@ -21,7 +21,8 @@ fn half_a_header_and_silence_are_given_up() {
     for start in ["", "GET / HT", "GET /v1 HTTP/1.1\r\nhost: loc"] {
         let mut half = service.client();
         half.raw(start.as_bytes());
-        assert!(half.try_answer(false).is_none_or(|answer| answer.status == 408), "{start:?}");
+        half.impatient(Duration::from_secs(20));
+        assert!(half.is_closed(), "{start:?}");
     }
 }
 

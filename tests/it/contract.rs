@@ -319,6 +319,7 @@ fn requests_keep_their_ids_and_get_one_otherwise() {
     let made: Vec<String> =
         (0..2).map(|_| client.get("/v1").header("x-request-id").expect("made").to_owned()).collect();
     assert_ne!(made[0], made[1]);
+    assert_ne!(client.send("GET", "/v1", &[("x-request-id", "")], None).header("x-request-id"), Some(""));
     let long = "x".repeat(500);
     assert_ne!(client.send("GET", "/v1", &[("x-request-id", &long)], None).header("x-request-id"), Some(&*long));
 }

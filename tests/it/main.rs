@@ -1,5 +1,6 @@
 //! All integration tests in one binary: it links once.
 
+#![expect(clippy::disallowed_methods, reason = "powers of two are exact everywhere")]
 #![expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, reason = "scenes are made of random bits")]
 
 /// Who may come in.

@@ -11,13 +11,12 @@ fn commands() -> Vec<(String, String)> {
     let mut commands: Vec<(String, String)> = Vec::new();
     for block in README.split("```console\n").skip(1) {
         for line in block.split("```").next().expect("split has a first part").lines() {
-            match line.strip_prefix("$ ") {
-                Some(command) => commands.push((command.to_owned(), String::new())),
-                None => {
-                    let (_, printed) = commands.last_mut().expect("a block begins with a command");
-                    *printed += line;
-                    *printed += "\n";
-                }
+            if let Some(command) = line.strip_prefix("$ ") {
+                commands.push((command.to_owned(), String::new()));
+            } else {
+                let (_, printed) = commands.last_mut().expect("a block begins with a command");
+                *printed += line;
+                *printed += "\n";
             }
         }
     }

@@ -164,6 +164,8 @@ const ROWS: &[Row] = &[
     // Query parameters.
     ("GET", "@?x=1", "", 422, "invalid_parameter", None),
     ("GET", "/v1?x=1", "", 422, "invalid_parameter", None),
+    ("GET", "/healthz?x=1", "", 422, "invalid_parameter", None),
+    ("GET", "/metrics?x=1", "", 422, "invalid_parameter", None),
     ("GET", "@/state?fields=speed", "", 422, "invalid_parameter", None),
     ("GET", "@/state?fields=", "", 422, "invalid_parameter", None),
     ("GET", "@/state?limit=1", "", 422, "invalid_parameter", None),
@@ -186,6 +188,7 @@ const HEADERS: &[HeaderRow] = &[
     ("GET", &[("host", "localhost"), ("host", "localhost")], 403, "host_not_allowed"),
     ("PUT", &[("origin", "http://evil.example")], 403, "cross_origin"),
     ("PUT", &[("origin", "null")], 403, "cross_origin"),
+    ("PUT", &[("host", "[::1].evil.example")], 403, "host_not_allowed"),
     ("PUT", &[("host", "localhost:8080"), ("origin", "http://localhost:9090")], 403, "cross_origin"),
     ("PUT", &[("host", "localhost:8080"), ("origin", "https://localhost:8080")], 403, "cross_origin"),
     ("GET", &[("sec-fetch-site", "cross-site")], 403, "cross_origin"),
@@ -280,6 +283,33 @@ fn refusals_say_why_and_change_nothing() {
         assert!(answer.text().contains("--body-bytes-max"), "{}", answer.text());
     }
     assert_eq!(everything(&mut client), before);
+    // A page that another name leads to has no Host header to tell by in HTTP/1.0.
+    let mut old = service.client();
+    old.raw(b"PUT /v1/worlds/evil HTTP/1.0\r\norigin: https://evil.example\r\n\r\n");
+    assert_eq!(old.answer(false).json()["code"], "cross_origin");
+}
+
+/// All worlds together have a budget; what is removed is given back.
+#[test]
+fn memory_is_charged_before_it_is_taken() {
+    let service = Service::with(|config| config.memory_bytes_max = 256 * 100);
+    let mut client = service.client();
+    for world in ["a", "b"] {
+        client.put(&format!("/v1/worlds/{world}"), "{\"integrator\":\"newton_euler\"}").expect(201);
+    }
+    client.post("/v1/worlds/a/particles", "{\"count\":60}").expect(201);
+    let refused = client.post("/v1/worlds/b/particles", "{\"count\":41}").expect(422);
+    assert_eq!(refused.json()["code"], "limit_reached");
+    assert!(refused.text().contains("--memory-bytes-max"), "{}", refused.text());
+    client.post("/v1/worlds/b/particles", "{\"count\":40}").expect(201);
+    let dry = client.post("/v1/worlds/b/advance", "{\"duration\":1,\"dry_run\":true}").expect(422);
+    assert_eq!(dry.json()["code"], "limit_reached", "a dry run works on a copy");
+    client.post("/v1/worlds/b/advance", "{\"duration\":1}").expect(200);
+    client.delete("/v1/worlds/a").expect(204);
+    client.post("/v1/worlds/b/advance", "{\"duration\":1,\"dry_run\":true}").expect(200);
+    client.delete("/v1/worlds/b/particles/7").expect(204);
+    client.post("/v1/worlds/b/particles", "{\"count\":61}").expect(201);
+    client.post("/v1/worlds/b/particles", "{}").expect(422);
 }
 
 /// The codes that need more than one request each have a test that names them here.

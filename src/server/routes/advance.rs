@@ -6,15 +6,17 @@ use axum::extract::State;
 use axum::response::Response;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
+use utoipa::openapi::RefOr;
+use utoipa::openapi::schema::{ArrayBuilder, Schema};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use crate::command::{Advance, Advanced, Command, Outcome};
-use crate::integrator::Integrator;
 use crate::server::App;
 use crate::server::extract::Change;
-use crate::server::json::{self, Named, Object, WireReal, present};
+use crate::server::json::{self, Named, Object, WireReal, choices, present};
+use crate::server::memory::PARTICLE_BYTES;
 use crate::server::problem::{Problem, Shape};
-use crate::server::slot::{Reply, with_slot};
+use crate::server::slot::{Cost, Reply, with_slot};
 use crate::server::wire::{self, Property};
 use crate::world::World;
 
@@ -40,11 +42,15 @@ struct AdvanceBody {
     max_step: Option<f64>,
     /// Properties that the answer has as columns in `state`.
     #[serde(default, deserialize_with = "present", rename = "return")]
-    #[schema(value_type = Option<Vec<String>>, nullable = false)]
+    #[schema(schema_with = properties_schema, required = false)]
     properties: Option<Vec<Named<Property>>>,
     /// true: answer what would be, and change nothing.
     #[serde(default)]
     dry_run: bool,
+}
+
+fn properties_schema() -> Schema {
+    ArrayBuilder::new().items(RefOr::T(choices::<Property>())).build().into()
 }
 
 /// What the advance did.
@@ -87,7 +93,7 @@ async fn advance(State(app): State<Arc<App>>, change: Change) -> Result<Response
     let parsed = json::parse::<Object<AdvanceBody>>(&change.body).map(|Object(body)| body);
     let metrics = app.metrics.clone();
     with_slot!(any, slot => {
-        change.apply(&slot, parsed, work, move |world, body, cancelled| {
+        change.apply(&slot, parsed, cost, move |world, body, cancelled| {
             let command = Command::Advance(body.advance());
             let properties: Option<Vec<Property>> =
                 body.properties.map(|names| names.into_iter().map(|Named(property)| property).collect());
@@ -101,21 +107,21 @@ async fn advance(State(app): State<Arc<App>>, change: Change) -> Result<Response
             } else {
                 apply(world)?
             };
-            metrics.advanced(&advanced);
+            if !body.dry_run {
+                metrics.advanced(&advanced);
+            }
             Ok(Reply::ok(json::write(&AdvancedBody::new(&advanced, world.revision(), state))))
         }).await
     })
 }
 
-/// Particle-steps, or particles to look at or to write.
-fn work<R: WireReal>(world: &World<R>, body: &AdvanceBody) -> u64 {
-    let particles = world.particle_count() as u64;
-    let steps = world.plan(&body.advance()).map_or(0, |plan| match world.settings().integrator {
-        Integrator::Exact => 1,
-        Integrator::NewtonEuler | Integrator::NewtonEulerQuadratic | Integrator::SemiImplicitEuler => plan.steps,
-    });
+/// Particle-steps, and numbers to write; a dry run works on a copy.
+fn cost<R: WireReal>(world: &World<R>, body: &AdvanceBody) -> Cost {
     let written = 3 * body.properties.as_ref().map_or(0, Vec::len) as u64;
-    particles.saturating_mul(steps + written)
+    let particles = world.particle_count() as u64;
+    let copied = if body.dry_run { particles } else { 0 };
+    let work = world.work(&body.advance()).saturating_add(particles * written + copied);
+    Cost { work, bytes: copied * PARTICLE_BYTES }
 }
 
 impl AdvanceBody {

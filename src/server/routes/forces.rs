@@ -16,10 +16,9 @@ use crate::server::App;
 use crate::server::extract::Change;
 use crate::server::json::{self, Element, Object, Vector, WireReal, column};
 use crate::server::problem::Problem;
-use crate::server::routes::particles::apply_to_many;
+use crate::server::routes::{apply_to_many, many};
 use crate::server::slot::{self, with_slot};
 use crate::server::wire::{Changed, ParticleView, VectorColumn, VectorSchema, selection};
-use crate::world::World;
 
 pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
     OpenApiRouter::new().routes(routes!(add_force)).routes(routes!(apply_impulse)).routes(routes!(add_forces))
@@ -96,7 +95,6 @@ async fn add_forces(State(app): State<Arc<App>>, change: Change) -> Result<Respo
     let any = app.slot(&change.target)?;
     with_slot!(any, slot => {
         let parsed = slot::parse(change.body.clone(), read).await;
-        let work = |world: &World<_>, _: &_| world.particle_count() as u64;
-        change.apply(&slot, parsed, work, |world, command, _| apply_to_many(world, &command)).await
+        change.apply(&slot, parsed, many, |world, command, _| apply_to_many(world, &command)).await
     })
 }

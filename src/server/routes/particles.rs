@@ -12,11 +12,12 @@ use crate::column::Column;
 use crate::command::{Command, NewParticles, Outcome};
 use crate::ids::ParticleId;
 use crate::server::App;
-use crate::server::extract::{Change, NoParameters, Read};
+use crate::server::extract::{Change, NoParameters, Read, page_limit};
 use crate::server::json::{self, Object, Vector, WireReal, present};
+use crate::server::memory::PARTICLE_BYTES;
 use crate::server::problem::{Code, Problem, Shape};
-use crate::server::routes::worlds::page_limit;
-use crate::server::slot::{self, Reply, with_slot};
+use crate::server::routes::{apply_to_many, many, whole};
+use crate::server::slot::{self, Cost, Reply, with_slot};
 use crate::server::wire::{
     self, Changed, ColumnsBody, Created, ParticleBody, ParticleView, Property, SetManyBody, SetOneBody, VectorSchema,
     properties,
@@ -124,8 +125,11 @@ async fn create_particles(State(app): State<Arc<App>>, change: Change) -> Result
     let name = change.target.world.clone();
     with_slot!(any, slot => {
         let parsed = slot::parse(change.body.clone(), read_new).await;
-        let work = |_: &World<_>, new: &New<_>| new.particles.count as u64;
-        change.apply(&slot, parsed, work, move |world, new, _| {
+        let cost = |_: &World<_>, new: &New<_>| {
+            let count = new.particles.count as u64;
+            Cost { work: count, bytes: count.saturating_mul(PARTICLE_BYTES) }
+        };
+        change.apply(&slot, parsed, cost, move |world, new, _| {
             let created = world.apply(&Command::Create(new.particles));
             let Outcome::Created { first, count } = created.map_err(|error| Problem::from_engine(error, new.shape))? else {
                 unreachable!("a creation answers with what it created")
@@ -160,29 +164,6 @@ fn read_new<R: WireReal>(body: &[u8]) -> Result<New<R>, Problem> {
     let Object(columns) = columns?;
     let count = columns.count.unwrap_or_default();
     Ok(New { particles: columns.particles(count)?, shape: Shape::Columns })
-}
-
-/// The answer with one particle.
-pub(crate) fn whole<R: WireReal>(world: &World<R>, id: ParticleId) -> Result<Reply, Problem> {
-    let state = world.particle(id).map_err(|error| Problem::from_engine(error, Shape::Particle))?;
-    Ok(Reply::ok(json::write(&ParticleView::whole(&state))))
-}
-
-/// Applies a command to the particle of the path; the answer is the particle.
-pub(crate) fn apply_to_one<R: WireReal>(
-    world: &mut World<R>,
-    id: ParticleId,
-    command: &Command<R>,
-) -> Result<Reply, Problem> {
-    world.apply(command).map_err(|error| Problem::from_engine(error, Shape::Particle))?;
-    whole(world, id)
-}
-
-/// Applies a command to many particles; the answer counts them.
-pub(crate) fn apply_to_many<R: WireReal>(world: &mut World<R>, command: &Command<R>) -> Result<Reply, Problem> {
-    let outcome = world.apply(command).map_err(|error| Problem::from_engine(error, Shape::Columns))?;
-    let Outcome::Changed { count } = outcome else { unreachable!("properties and forces answer with a count") };
-    Ok(Reply::ok(json::write(&Changed { count, revision: world.revision() })))
 }
 
 /// Lists particles
@@ -282,8 +263,7 @@ async fn set_particles(State(app): State<Arc<App>>, change: Change) -> Result<Re
     let any = app.slot(&change.target)?;
     with_slot!(any, slot => {
         let parsed = slot::parse(change.body.clone(), read).await;
-        let work = |world: &World<_>, _: &_| world.particle_count() as u64;
-        change.apply(&slot, parsed, work, |world, command, _| apply_to_many(world, &command)).await
+        change.apply(&slot, parsed, many, |world, command, _| apply_to_many(world, &command)).await
     })
 }
 
@@ -320,7 +300,9 @@ async fn remove_particle(State(app): State<Arc<App>>, change: Change) -> Result<
     let any = app.slot(&change.target)?;
     with_slot!(any, slot => {
         let command = change.target.particle().map(|id| Command::Remove { ids: id.into() });
-        change.apply(&slot, command, |_, _| 0, |world, command, _| {
+        // The first removal makes the table of ids.
+        let cost = |world: &World<_>, _: &_| Cost::of(world.particle_count() as u64 / 8);
+        change.apply(&slot, command, cost, |world, command, _| {
             world.apply(&command).map_err(|error| Problem::from_engine(error, Shape::Particle))?;
             Ok(Reply::no_content())
         }).await

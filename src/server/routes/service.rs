@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use axum::extract::{Path, State};
-use axum::http::header;
+use axum::http::{Uri, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -16,7 +16,7 @@ use crate::integrator::{DampingLaw, Integrator};
 use crate::real::Precision;
 use crate::server::App;
 use crate::server::config::PAGE_MAX;
-use crate::server::extract::{NoParameters, Read};
+use crate::server::extract::{NoParameters, Read, no_parameters};
 use crate::server::json;
 use crate::server::problem::{Code, Problem};
 use crate::server::slot::Reply;
@@ -29,6 +29,8 @@ pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
         .routes(routes!(metrics))
         .routes(routes!(openapi))
         .routes(routes!(explain_problem))
+        .routes(routes!(docs))
+        .routes(routes!(docs_asset))
 }
 
 /// What this service is and may.
@@ -50,6 +52,7 @@ struct Service {
 struct ServiceLimits {
     worlds_max: usize,
     particles_max: u64,
+    memory_bytes_max: u64,
     steps_max: u64,
     particle_steps_max: u64,
     body_bytes_max: usize,
@@ -86,6 +89,7 @@ async fn describe_service(State(app): State<Arc<App>>, read: Read) -> Result<Res
         limits: ServiceLimits {
             worlds_max: config.worlds_max,
             particles_max: config.particles_max,
+            memory_bytes_max: config.memory_bytes_max,
             steps_max: config.steps_max,
             particle_steps_max: config.particle_steps_max,
             body_bytes_max: config.body_bytes_max,
@@ -102,13 +106,15 @@ async fn describe_service(State(app): State<Arc<App>>, read: Read) -> Result<Res
 
 /// Whether the process is alive
 #[utoipa::path(get, path = "/healthz", tag = "service", responses((status = 200, body = Health)))]
-async fn healthz() -> Response {
-    Reply::ok(json::write(&Health { status: "ok" })).into_response(None)
+async fn healthz(uri: Uri) -> Result<Response, Problem> {
+    no_parameters(&uri)?;
+    Ok(Reply::ok(json::write(&Health { status: "ok" })).into_response(None))
 }
 
 /// Whether it takes on work
 #[utoipa::path(get, path = "/readyz", tag = "service", responses((status = 200, body = Health)))]
-async fn readyz(State(app): State<Arc<App>>) -> Result<Response, Problem> {
+async fn readyz(State(app): State<Arc<App>>, uri: Uri) -> Result<Response, Problem> {
+    no_parameters(&uri)?;
     if app.draining.load(Ordering::Relaxed) {
         return Err(Problem::plain(Code::ShuttingDown));
     }
@@ -118,22 +124,57 @@ async fn readyz(State(app): State<Arc<App>>) -> Result<Response, Problem> {
 /// Counters as `OpenMetrics` text
 #[utoipa::path(get, path = "/metrics", tag = "service",
     responses((status = 200, body = String, content_type = "application/openmetrics-text")))]
-async fn metrics(State(app): State<Arc<App>>) -> Response {
+async fn metrics(State(app): State<Arc<App>>, uri: Uri) -> Result<Response, Problem> {
+    no_parameters(&uri)?;
     let content_type = "application/openmetrics-text; version=1.0.0; charset=utf-8";
-    ([(header::CONTENT_TYPE, content_type)], app.metrics.text(app.worlds.len())).into_response()
+    Ok(([(header::CONTENT_TYPE, content_type)], app.metrics.text(app.worlds.len(), app.in_flight.count()))
+        .into_response())
 }
 
 /// This description
 #[utoipa::path(get, path = "/openapi.json", tag = "service", responses((status = 200, body = serde_json::Value)))]
-async fn openapi(State(app): State<Arc<App>>) -> Response {
-    ([(header::CONTENT_TYPE, "application/json")], app.openapi.clone()).into_response()
+async fn openapi(State(app): State<Arc<App>>, uri: Uri) -> Result<Response, Problem> {
+    no_parameters(&uri)?;
+    Ok(([(header::CONTENT_TYPE, "application/json")], app.openapi.clone()).into_response())
 }
 
 /// Explains the code of a problem
 #[utoipa::path(get, path = "/problems/{code}", tag = "service", params(("code" = String, Path, example = "diverged")),
     responses((status = 200, body = String, content_type = "text/plain")))]
-async fn explain_problem(Path(name): Path<String>) -> Result<String, Problem> {
+async fn explain_problem(Path(name): Path<String>, uri: Uri) -> Result<String, Problem> {
+    no_parameters(&uri)?;
     let code =
         Code::ALL.into_iter().find(|code| code.name() == name).ok_or_else(|| Problem::plain(Code::UnknownRoute))?;
     Ok(format!("{} ({})\n\n{}\n", code.title(), code.status(), code.explanation()))
+}
+
+/// A page over this description
+///
+/// Its scripts are part of the binary.
+#[utoipa::path(get, path = "/docs", tag = "service", responses((status = 200, body = String, content_type = "text/html")))]
+async fn docs(uri: Uri) -> Result<Response, Problem> {
+    no_parameters(&uri)?;
+    // The page names its assets relative to a folder, which this path is not.
+    let (content_type, page) = swagger_ui("index.html")?;
+    let page = String::from_utf8_lossy(&page).replacen("<head>", "<head>\n    <base href=\"/docs/\">", 1);
+    Ok(([(header::CONTENT_TYPE, content_type)], page).into_response())
+}
+
+/// A part of that page
+#[utoipa::path(get, path = "/docs/{asset}", tag = "service",
+    params(("asset" = String, Path, example = "swagger-ui.css")),
+    responses((status = 200, body = String, content_type = "text/plain")))]
+async fn docs_asset(Path(asset): Path<String>, uri: Uri) -> Result<Response, Problem> {
+    no_parameters(&uri)?;
+    let (content_type, bytes) = swagger_ui(&asset)?;
+    Ok(([(header::CONTENT_TYPE, content_type)], bytes).into_response())
+}
+
+fn swagger_ui(file: &str) -> Result<(String, Vec<u8>), Problem> {
+    let config = Arc::new(utoipa_swagger_ui::Config::from("/openapi.json"));
+    match utoipa_swagger_ui::serve(file, config) {
+        Ok(Some(file)) => Ok((file.content_type, file.bytes.into_owned())),
+        Ok(None) => Err(Problem::plain(Code::UnknownRoute)),
+        Err(_) => Err(Problem::plain(Code::InternalError)),
+    }
 }

@@ -9,6 +9,8 @@ use axum::response::Response;
 use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 use utoipa::ToSchema;
+use utoipa::openapi::Ref;
+use utoipa::openapi::schema::{ObjectBuilder, OneOfBuilder, Schema, Type};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use crate::command::{Command, Configure, Settings, gravity};
@@ -16,12 +18,12 @@ use crate::integrator::{DampingLaw, Integrator};
 use crate::real::Precision;
 use crate::registry::Refused;
 use crate::server::App;
-use crate::server::config::{PAGE_DEFAULT, PAGE_MAX, WORLDS_MAX};
-use crate::server::extract::{Change, NoParameters, Read};
-use crate::server::json::{self, Element, Named, Object, Vector, WireReal, parse_part, present};
+use crate::server::config::WORLDS_MAX;
+use crate::server::extract::{Change, NoParameters, Read, page_limit};
+use crate::server::json::{self, Element, Named, Object, Vector, WireReal, choices, parse_part, present};
 use crate::server::problem::{Code, Problem, Shape};
-use crate::server::slot::{AnySlot, Reply, Slot, with_slot};
-use crate::server::wire::{Description, VectorSchema};
+use crate::server::slot::{AnySlot, Cost, Reply, Slot, with_slot};
+use crate::server::wire::Description;
 use crate::world::World;
 
 pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
@@ -40,19 +42,19 @@ pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
 struct CreateWorld<'a> {
     /// `double` (default) or `single`; cannot be changed later.
     #[serde(default, deserialize_with = "present")]
-    #[schema(value_type = Option<String>, nullable = false)]
+    #[schema(schema_with = choices::<Precision>, required = false)]
     precision: Option<Named<Precision>>,
     /// `exact` (default), `newton_euler`, `newton_euler_quadratic` or `semi_implicit_euler`.
     #[serde(default, deserialize_with = "present")]
-    #[schema(value_type = Option<String>, nullable = false)]
+    #[schema(schema_with = choices::<Integrator>, required = false)]
     integrator: Option<Named<Integrator>>,
     /// In m/s², or one of the presets `standard`, `textbook`, `shooter`, `driving`. Default 0.
     #[serde(borrow, default, deserialize_with = "present")]
-    #[schema(value_type = Option<Gravity>, nullable = false)]
+    #[schema(schema_with = gravity_schema, required = false)]
     gravity: Option<&'a RawValue>,
     /// `per_second` (default) or `per_step`.
     #[serde(default, deserialize_with = "present")]
-    #[schema(value_type = Option<String>, nullable = false)]
+    #[schema(schema_with = choices::<DampingLaw>, required = false)]
     damping_law: Option<Named<DampingLaw>>,
     /// The longest step, in seconds, of an advance that names no steps. Default null: one step.
     #[serde(default)]
@@ -65,13 +67,13 @@ struct CreateWorld<'a> {
 #[schema(as = ConfigureWorld, example = json!({"gravity": [0.0, -1.62, 0.0], "max_step": null}))]
 struct ConfigureWorld<'a> {
     #[serde(default, deserialize_with = "present")]
-    #[schema(value_type = Option<String>, nullable = false)]
+    #[schema(schema_with = choices::<Integrator>, required = false)]
     integrator: Option<Named<Integrator>>,
     #[serde(borrow, default, deserialize_with = "present")]
-    #[schema(value_type = Option<Gravity>, nullable = false)]
+    #[schema(schema_with = gravity_schema, required = false)]
     gravity: Option<&'a RawValue>,
     #[serde(default, deserialize_with = "present")]
-    #[schema(value_type = Option<String>, nullable = false)]
+    #[schema(schema_with = choices::<DampingLaw>, required = false)]
     damping_law: Option<Named<DampingLaw>>,
     /// null: none.
     #[serde(default, deserialize_with = "present")]
@@ -81,12 +83,10 @@ struct ConfigureWorld<'a> {
 }
 
 /// A gravity: a vector in m/s², or the name of a preset.
-#[derive(ToSchema)]
-#[serde(untagged)]
-#[expect(dead_code, reason = "stands for the field in the description")]
-enum Gravity {
-    Vector(VectorSchema),
-    Preset(String),
+fn gravity_schema() -> Schema {
+    let presets =
+        ObjectBuilder::new().schema_type(Type::String).enum_values(Some(gravity::PRESETS.map(|(name, _)| name)));
+    OneOfBuilder::new().item(Ref::from_schema_name("Vector")).item(presets).build().into()
 }
 
 /// Worlds in order of name.
@@ -135,15 +135,6 @@ async fn list_worlds(State(app): State<Arc<App>>, read: Read) -> Result<Response
         AnySlot::Double(slot) => AnyDescription::Double(slot.description()),
     });
     Ok(Reply::ok(json::write(&Worlds { worlds: worlds.collect(), next_after })).into_response(None))
-}
-
-/// The `limit` of a list.
-pub(crate) fn page_limit(limit: Option<usize>) -> Result<usize, Problem> {
-    match limit {
-        None => Ok(PAGE_DEFAULT),
-        Some(limit) if (1..=PAGE_MAX).contains(&limit) => Ok(limit),
-        Some(_) => Err(Problem::new(Code::InvalidParameter, format!("limit is a number from 1 to {PAGE_MAX}"))),
-    }
 }
 
 /// Creates a world with a name that the service makes
@@ -205,7 +196,7 @@ fn insert<R: WireReal>(
     let world = World::with_limits(settings, app.config.limits())
         .map_err(|error| Problem::from_engine(error, Shape::Columns))?;
     let answer = json::write(&Description::new(name, &world));
-    app.worlds.insert(name, any(Arc::new(Slot::new(name, world)))).map_err(|refused| match refused {
+    app.worlds.insert(name, any(Arc::new(Slot::new(name, world, &app.shared)))).map_err(|refused| match refused {
         Refused::Exists => world_exists(name),
         Refused::Full => {
             let detail = format!("there are {} worlds, the most allowed (--{WORLDS_MAX})", app.config.worlds_max);
@@ -267,8 +258,8 @@ async fn configure_world(State(app): State<Arc<App>>, change: Change) -> Result<
     let name = change.target.world.clone();
     with_slot!(any, slot => {
         let parsed = read(&change.body);
-        let work = |world: &World<_>, _: &_| world.particle_count() as u64;
-        change.apply(&slot, parsed, work, move |world, configure, _| {
+        let cost = |world: &World<_>, _: &_| Cost::of(world.particle_count() as u64);
+        change.apply(&slot, parsed, cost, move |world, configure, _| {
             world.apply(&Command::Configure(configure)).map_err(|error| Problem::from_engine(error, Shape::Columns))?;
             Ok(Reply::ok(json::write(&Description::new(&name, world))))
         }).await

@@ -1,0 +1,86 @@
+//! What all worlds together may hold, charged before it is allocated.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::server::config::MEMORY_BYTES_MAX;
+use crate::server::problem::{Code, Problem};
+
+/// The most that a particle takes: every column per-particle, room to grow, and the copy of a long advance.
+pub(crate) const PARTICLE_BYTES: u64 = 256;
+
+/// The budget of a service.
+#[derive(Debug)]
+pub(crate) struct Memory {
+    limit: u64,
+    used: AtomicU64,
+}
+
+/// The part of one world; given back when it is dropped.
+#[derive(Debug)]
+pub(crate) struct Charge {
+    memory: Arc<Memory>,
+    bytes: u64,
+}
+
+impl Memory {
+    pub(crate) fn new(limit: u64) -> Arc<Self> {
+        Arc::new(Self { limit, used: AtomicU64::new(0) })
+    }
+}
+
+impl Charge {
+    pub(crate) fn none(memory: &Arc<Memory>) -> Self {
+        Self { memory: Arc::clone(memory), bytes: 0 }
+    }
+
+    /// Takes more, or nothing when that would be too much.
+    pub(crate) fn grow(&mut self, bytes: u64) -> Result<(), Problem> {
+        let limit = self.memory.limit;
+        let grown = |used: u64| used.checked_add(bytes).filter(|used| *used <= limit);
+        match self.memory.used.fetch_update(Ordering::Relaxed, Ordering::Relaxed, grown) {
+            Ok(_) => {
+                self.bytes += bytes;
+                Ok(())
+            }
+            Err(used) => {
+                let detail = format!(
+                    "all worlds together would take {} bytes, more than {limit} (--{MEMORY_BYTES_MAX}); remove particles or worlds",
+                    used.saturating_add(bytes)
+                );
+                Err(Problem::new(Code::LimitReached, detail))
+            }
+        }
+    }
+
+    /// Gives back what is more than this.
+    pub(crate) fn shrink_to(&mut self, bytes: u64) {
+        let back = self.bytes.saturating_sub(bytes);
+        self.memory.used.fetch_sub(back, Ordering::Relaxed);
+        self.bytes -= back;
+    }
+}
+
+impl Drop for Charge {
+    fn drop(&mut self) {
+        self.shrink_to(0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Charge, Memory};
+
+    #[test]
+    fn what_is_given_back_can_be_taken_again() {
+        let memory = Memory::new(100);
+        let (mut a, mut b) = (Charge::none(&memory), Charge::none(&memory));
+        a.grow(60).expect("within");
+        assert!(b.grow(41).is_err() && b.grow(u64::MAX).is_err());
+        b.grow(40).expect("just within");
+        a.shrink_to(10);
+        b.grow(50).expect("given back");
+        drop(b);
+        a.grow(90).expect("all but ten");
+    }
+}
