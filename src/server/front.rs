@@ -102,7 +102,7 @@ impl Default for RequestIds {
 }
 
 impl RequestIds {
-    fn next(&self) -> HeaderValue {
+    pub(crate) fn next(&self) -> HeaderValue {
         let count = self.count.fetch_add(1, Ordering::Relaxed);
         HeaderValue::from_str(&format!("{:016x}-{count}", self.process)).expect("hexadecimal digits")
     }

@@ -16,6 +16,7 @@ use tokio::net::{TcpListener, UnixListener, UnixStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio::task::JoinSet;
 
+use crate::server::early::Early;
 use crate::server::{App, Config, router};
 
 /// A socket that accepts connections.
@@ -115,6 +116,7 @@ const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 /// While it finishes, it goes on listening: new requests are told to come back, and `/readyz` says why.
 pub async fn serve(listeners: Vec<Listener>, app: Arc<App>, shutdown: impl Future<Output = ()>) {
     let connections = Arc::new(Connections {
+        app: Arc::clone(&app),
         router: router(&app),
         header_timeout: Duration::from_millis(app.config.header_timeout_ms),
         permits: Arc::new(Semaphore::new(app.config.connections_max)),
@@ -146,6 +148,7 @@ pub async fn serve(listeners: Vec<Listener>, app: Arc<App>, shutdown: impl Futur
 
 /// What every connection gets.
 struct Connections {
+    app: Arc<App>,
     router: Router,
     header_timeout: Duration,
     permits: Arc<Semaphore>,
@@ -194,6 +197,7 @@ impl Connections {
     }
 
     fn answer(&self, stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, permit: OwnedSemaphorePermit) {
+        let stream = Early::new(stream, Arc::clone(&self.app));
         let connection = http1::Builder::new()
             .timer(TokioTimer::new())
             .header_read_timeout(self.header_timeout)

@@ -4,6 +4,7 @@
 //! it behind [`Listener`]s.
 
 mod config;
+mod early;
 mod extract;
 mod front;
 mod healthcheck;

@@ -140,7 +140,14 @@ fn parameter(name: &str, place: ParameterIn, description: &str, schema: Type) ->
 
 /// Every problem that a route can answer with. A test holds each refusal it sees against this.
 pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
-    let mut codes = vec![Code::HostNotAllowed, Code::CrossOrigin, Code::InternalError];
+    let mut codes = vec![
+        Code::MalformedRequest,
+        Code::UriTooLong,
+        Code::HeadersTooLarge,
+        Code::HostNotAllowed,
+        Code::CrossOrigin,
+        Code::InternalError,
+    ];
     let open = matches!(path, "/healthz" | "/readyz" | "/problems/{code}");
     if !open {
         codes.push(Code::Unauthorized);

@@ -13,6 +13,9 @@ use crate::server::config;
 /// The stable word of a problem. Each has a page under `/problems/`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) enum Code {
+    MalformedRequest,
+    UriTooLong,
+    HeadersTooLarge,
     HostNotAllowed,
     CrossOrigin,
     Unauthorized,
@@ -56,7 +59,10 @@ pub(crate) enum Code {
 }
 
 impl Code {
-    pub(crate) const ALL: [Self; 40] = [
+    pub(crate) const ALL: [Self; 43] = [
+        Self::MalformedRequest,
+        Self::UriTooLong,
+        Self::HeadersTooLarge,
         Self::HostNotAllowed,
         Self::CrossOrigin,
         Self::Unauthorized,
@@ -121,6 +127,12 @@ impl Code {
         use StatusCode as S;
         const MEANING: StatusCode = StatusCode::UNPROCESSABLE_ENTITY;
         match self {
+            Self::MalformedRequest => ("malformed_request", S::BAD_REQUEST, "Not HTTP",
+                "The request line or a header is not HTTP/1.1."),
+            Self::UriTooLong => ("uri_too_long", S::URI_TOO_LONG, "Path too long",
+                "The path with its parameters is longer than 64 KB."),
+            Self::HeadersTooLarge => ("headers_too_large", S::REQUEST_HEADER_FIELDS_TOO_LARGE, "Headers too large",
+                "A request has at most 100 headers, and at most 400 KB of them."),
             Self::HostNotAllowed => ("host_not_allowed", S::FORBIDDEN, "Host not allowed",
                 "The Host header must be a loopback name, an IP address, or a name given with --allow-host. This keeps web pages from reaching the service through a name of their own."),
             Self::CrossOrigin => ("cross_origin", S::FORBIDDEN, "Request from another origin",
@@ -344,13 +356,13 @@ impl Shape {
     }
 }
 
-impl IntoResponse for Problem {
-    fn into_response(self) -> Response {
-        let status = self.code.status();
+impl Problem {
+    /// The body of its answer.
+    pub(crate) fn body(&self) -> Vec<u8> {
         let mut body = serde_json::to_vec(&ProblemBody {
             r#type: format!("/problems/{}", self.code.name()),
             title: self.code.title(),
-            status: status.as_u16(),
+            status: self.code.status().as_u16(),
             detail: &self.detail,
             code: self.code.name(),
             pointer: self.pointer.as_deref(),
@@ -360,7 +372,14 @@ impl IntoResponse for Problem {
         })
         .expect("strings and whole numbers are always JSON");
         body.push(b'\n');
-        let mut response = (status, [(header::CONTENT_TYPE, "application/problem+json")], body).into_response();
+        body
+    }
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let content_type = [(header::CONTENT_TYPE, "application/problem+json")];
+        let mut response = (self.code.status(), content_type, self.body()).into_response();
         if self.code == Code::Unauthorized {
             response.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
         }

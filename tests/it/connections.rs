@@ -39,20 +39,43 @@ fn a_body_that_is_cut_short_changes_nothing() {
     assert_eq!(service.client().get("/v1/worlds/a").json()["revision"], 0);
 }
 
+/// What is refused before there is a request is told like everything else, and costs one connection.
 #[test]
-fn nonsense_is_answered_or_closed_and_the_service_lives() {
+fn what_is_not_http_is_a_problem_too() {
     let service = Service::start();
-    for bytes in [
-        &b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03"[..],
-        b"GET\r\n\r\n",
-        b"GET / HTTP/9.9\r\n\r\n",
-        b"\r\n\r\n\r\n\r\nx",
-        &vec![b'A'; 100_000],
+    let headers = "h: x\r\n".repeat(150);
+    for (request, status, code) in [
+        ("GET\r\n\r\n".to_owned(), 400, "malformed_request"),
+        ("GET /v1 HTTP/9.9\r\n\r\n".to_owned(), 400, "malformed_request"),
+        ("GET /v1 HTTP/1.1\r\nhost: localhost\r\nbad header\r\n\r\n".to_owned(), 400, "malformed_request"),
+        (
+            "POST /v1/worlds HTTP/1.1\r\nhost: localhost\r\ncontent-length: -1\r\n\r\n".to_owned(),
+            400,
+            "malformed_request",
+        ),
+        ("\u{16}\u{3}\u{1}\u{2}\r\n\r\n".to_owned(), 400, "malformed_request"),
+        (format!("GET /{} HTTP/1.1\r\nhost: localhost\r\n\r\n", "a".repeat(70_000)), 414, "uri_too_long"),
+        (format!("GET /v1 HTTP/1.1\r\nhost: localhost\r\n{headers}\r\n"), 431, "headers_too_large"),
+        (
+            format!("GET /v1 HTTP/1.1\r\nhost: localhost\r\na: {}\r\n\r\n", "a".repeat(600_000)),
+            431,
+            "headers_too_large",
+        ),
     ] {
         let mut client = service.client();
-        client.impatient(Duration::from_millis(500));
-        client.raw_unless_closed(bytes);
-        assert!(client.try_answer(false).is_none_or(|answer| matches!(answer.status, 400 | 414 | 431 | 505)));
+        client.raw_unless_closed(request.as_bytes());
+        let shown = &request[..request.len().min(60)];
+        let Some(answer) = client.try_answer(false) else {
+            // What did not read the request to its end may lose the answer to a reset.
+            assert!(request.len() > 100_000, "{shown:?} is answered");
+            continue;
+        };
+        assert_eq!(answer.status, status, "{shown:?}: {}", answer.text());
+        assert_eq!(answer.header("content-type"), Some("application/problem+json"), "{shown:?}");
+        assert!(answer.header("x-request-id").is_some_and(|id| !id.is_empty()), "{shown:?}");
+        assert_eq!(answer.json()["code"], code, "{shown:?}");
+        assert_eq!(answer.body.last(), Some(&b'\n'), "{shown:?}");
+        assert!(client.is_closed(), "{shown:?}");
     }
     service.client().get("/healthz").expect(200);
 }

@@ -316,6 +316,9 @@ fn memory_is_charged_before_it_is_taken() {
 #[test]
 fn every_code_is_seen() {
     let elsewhere = [
+        "malformed_request", // connections.rs
+        "uri_too_long",      // connections.rs
+        "headers_too_large", // connections.rs
         "unauthorized",      // access.rs
         "body_timeout",      // connections.rs
         "body_too_large",    // above
