@@ -178,3 +178,31 @@ fn stepped_worlds_agree_with_the_formulas_to_the_bit() {
         }
     }
 }
+
+/// A long advance is cut into slices, after each of which the engine looks whether it is cancelled: velocities come to
+/// rest after the same steps as without.
+#[test]
+fn a_long_advance_rests_where_the_formulas_do() {
+    fn each_precision<R: Real>(integrator: Integrator) {
+        let rest = if R::PRECISION == Precision::Single { 2f64.powi(-100) } else { 2f64.powi(-960) };
+        let settings = Settings { integrator, damping_law: DampingLaw::PerStep, ..Settings::default() };
+        for n in 0..20 {
+            // At rest after some thousand steps, in a position so small that the last of them show.
+            let v = [R::nearest((4.0 + f64::from(n) / 7.0) * rest); 3];
+            let d = R::nearest(1.0 - f64::from(n + 1) / 8192.0);
+            let mut naive = Naive { p: [R::ZERO; 3], v, own: None, d, w: R::ONE, f: [R::ZERO; 3] };
+            let mut world = World::<R>::new(settings).expect("valid settings");
+            let id = world.create(Particle { velocity: v.into(), damping: d, ..Particle::default() }).expect("valid");
+            world.advance(Advance { steps: Some(50_000), ..Advance::by(50_000.0) }).expect("finite");
+            advance(&mut naive, &settings, &HashMap::new(), 50_000.0, 50_000);
+            let state = world.particle(id).expect("created above");
+            let scene = scene::<R>(&format!("a long way to rest, {n}"), integrator);
+            check_bits(&scene, id, "position", naive.p, state.position);
+            check_bits(&scene, id, "velocity", naive.v, state.velocity);
+        }
+    }
+    for integrator in Integrator::ALL.into_iter().filter(|integrator| integrator.serves(DampingLaw::PerStep)) {
+        each_precision::<f32>(integrator);
+        each_precision::<f64>(integrator);
+    }
+}
