@@ -22,8 +22,8 @@
 //!
 //! # Code map
 //!
-//! [`World`] applies [`Command`]s; the methods of `World` are commands for one particle. `kernel` has the stepped
-//! integrators and `closed_form` the exact one. Columns, ids and the double-double clock have a file each. Everything
+//! [`World`] applies [`Command`]s; the methods of `World` are commands for one particle. `world` has a file for changes
+//! and one for time; `kernel` has the stepped integrators and `closed_form` the exact one. Columns, ids and the double-double clock have a file each. Everything
 //! under `server` speaks HTTP; nothing else does. ARCHITECTURE.md says why.
 
 mod closed_form;

@@ -46,6 +46,12 @@ fn explain(error: &serde_path_to_error::Error<serde_json::Error>, prefix: &str) 
     {
         detail.truncate(end);
     }
+    // What a number is to the service is of no use to its client.
+    for (own, word) in
+        [("f64", "a number"), ("f32", "a number"), ("u64", "a whole number"), ("usize", "a whole number")]
+    {
+        detail = detail.replace(&format!("expected {own}"), &format!("expected {word}"));
+    }
     // serde has no error codes; these beginnings are those of its own constructors and of serde_json.
     let code = [
         ("unknown field", Code::UnknownField),

@@ -230,6 +230,9 @@ impl PartialSchema for ProblemCode {
 
 impl ToSchema for ProblemCode {}
 
+/// No code is left out of the list.
+const _: () = assert!(Code::ShuttingDown as usize + 1 == Code::ALL.len());
+
 /// A refusal: what a client gets instead of what it asked for.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Problem {

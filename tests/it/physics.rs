@@ -1250,9 +1250,8 @@ fn order_and_shape_change_no_bit() {
 
 /// A number of any magnitude up to the largest, and often near it.
 fn extreme<R: Real>(seed: u64) -> R {
-    let exponent = (seed % 1000) as f64 / 1000.0;
-    let largest = if R::PRECISION == Precision::Single { 38.5 } else { 308.2 };
-    let magnitude = (0..(exponent * largest) as u32).fold(1.0, |x, _| x * 10.0);
+    let largest = if R::PRECISION == Precision::Single { 38 } else { 308 };
+    let magnitude = (0..seed / 2 % (largest + 1)).fold(1.0 + (seed % 5) as f64 / 8.0, |x, _| x * 10.0);
     R::nearest(if seed.is_multiple_of(2) { magnitude } else { -magnitude })
 }
 

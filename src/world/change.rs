@@ -1,0 +1,327 @@
+//! The commands other than an advance: each is validated as a whole before the first value changes.
+
+use std::collections::{HashMap, HashSet};
+
+use crate::column::Column;
+use crate::command::{Configure, Mass, NewParticles, Outcome, Selection, Settings};
+use crate::error::{Error, Field, Limit, Place, Quantity};
+use crate::ids::ParticleId;
+use crate::particles::zero;
+use crate::real::Real;
+use crate::world::bounds::{Bounds, magnitude};
+use crate::world::{LastForm, World, add};
+
+impl<R: Real> World<R> {
+    fn rows(&self, ids: &Selection) -> Result<Vec<usize>, Error> {
+        match ids {
+            Selection::All => Ok(self.ids.from(0).map(|(_, row)| row).collect()),
+            Selection::Ids(ids) => ids
+                .iter()
+                .enumerate()
+                .map(|(index, &id)| self.ids.row(id).ok_or(Error::UnknownParticle { id, index }))
+                .collect(),
+        }
+    }
+
+    pub(super) fn create_columns(&mut self, new: &NewParticles<R>) -> Result<Outcome, Error> {
+        let count = new.count;
+        let position = vectors(&new.position, Field::Position, count)?;
+        let velocity = vectors(&new.velocity, Field::Velocity, count)?;
+        let acceleration = accelerations(&new.acceleration, count)?;
+        let damping = dampings(&new.damping, count)?;
+        let inverse_mass = inverse_masses(&new.mass, count)?;
+        let len = self.particles.len();
+        let asked = (len as u64).saturating_add(count as u64);
+        if asked > self.limits.particles {
+            return Err(Error::LimitReached { limit: Limit::Particles, allowed: self.limits.particles, asked });
+        }
+        let particles = &mut self.particles;
+        particles.position.extend((0..count).map(|i| position.get(i)));
+        particles.velocity.extend((0..count).map(|i| velocity.get(i)));
+        particles.own_acceleration.extend(len, &acceleration.map(Option::unwrap_or_default), count);
+        particles.has_own_acceleration.extend(len, &acceleration.map(|own| own.is_some()), count);
+        particles.damping.extend(len, &damping, count);
+        self.factors.forget();
+        particles.inverse_mass.extend(len, &inverse_mass, count);
+        particles.immovable_count += (0..count).filter(|&i| inverse_mass.get(i) == R::ZERO).count();
+        particles.force.extend(len, &Column::Uniform(zero()), count);
+        particles.base_time.extend(len, &Column::Uniform(self.clock), count);
+        for row in len..len + count {
+            self.bounds.include(&self.particles, row);
+        }
+        Ok(Outcome::Created { first: self.ids.create(count), count })
+    }
+
+    pub(super) fn place_all(
+        &mut self,
+        ids: &Selection,
+        position: Option<&Column<R::Vec3>>,
+        velocity: Option<&Column<R::Vec3>>,
+    ) -> Result<Outcome, Error> {
+        if position.is_none() && velocity.is_none() {
+            return Err(Error::NothingToPlace);
+        }
+        let rows = self.rows(ids)?;
+        let position = position.map(|column| vectors(column, Field::Position, rows.len())).transpose()?;
+        let velocity = velocity.map(|column| vectors(column, Field::Velocity, rows.len())).transpose()?;
+        let mut form = LastForm::default();
+        for (i, &row) in rows.iter().enumerate() {
+            self.rebase(row, &mut form);
+            if let Some(position) = &position {
+                self.particles.position[row] = position.get(i);
+            }
+            if let Some(velocity) = &velocity {
+                self.particles.velocity[row] = velocity.get(i);
+            }
+            self.bounds.include(&self.particles, row);
+        }
+        Ok(Outcome::Changed { count: rows.len() })
+    }
+
+    pub(super) fn set_all(
+        &mut self,
+        ids: &Selection,
+        acceleration: Option<&Column<Option<R::Vec3>>>,
+        damping: Option<&Column<R>>,
+        mass: Option<&Column<Mass<R>>>,
+    ) -> Result<Outcome, Error> {
+        let rows = self.rows(ids)?;
+        let acceleration = acceleration.map(|column| accelerations(column, rows.len())).transpose()?;
+        let damping = damping.map(|column| dampings(column, rows.len())).transpose()?;
+        let inverse_mass = mass.map(|column| inverse_masses(column, rows.len())).transpose()?;
+        if acceleration.is_some() || damping.is_some() || inverse_mass.is_some() {
+            self.rebase_all(&rows);
+        }
+        if damping.is_some() {
+            self.factors.forget();
+        }
+        let every = *ids == Selection::All;
+        let particles = &mut self.particles;
+        let len = particles.len();
+        let has_own = acceleration.as_ref().map(|column| column.map(|own| own.is_some()));
+        let own = acceleration.map(|column| column.map(Option::unwrap_or_default));
+        assign(&mut particles.has_own_acceleration, has_own, &rows, every, len);
+        assign(&mut particles.own_acceleration, own, &rows, every, len);
+        assign(&mut particles.damping, damping, &rows, every, len);
+        if let Some(inverse_mass) = inverse_mass {
+            assign(&mut particles.inverse_mass, Some(inverse_mass), &rows, every, len);
+            particles.count_immovable();
+        }
+        for &row in &rows {
+            self.bounds.include(&self.particles, row);
+        }
+        Ok(Outcome::Changed { count: rows.len() })
+    }
+
+    pub(super) fn add_forces(&mut self, ids: &Selection, force: &Column<R::Vec3>) -> Result<Outcome, Error> {
+        let rows = self.rows(ids)?;
+        let force = vectors(force, Field::Force, rows.len())?.map(|f| f.map(positive_zero));
+        let len = self.particles.len();
+        let mut before = Vec::with_capacity(rows.len());
+        for (i, &row) in rows.iter().enumerate() {
+            let old = self.particles.force.get(row);
+            let sum = add(old, force.get(i));
+            if !sum.iter().all(|x| x.is_finite()) {
+                let error = self.overflow(row, Quantity::Force, Field::Force, &force, i);
+                for (&row, old) in rows.iter().zip(before).rev() {
+                    self.particles.force.set(row, old, len);
+                }
+                return Err(error);
+            }
+            before.push(old);
+            self.particles.force.set(row, sum, len);
+            self.bounds.force = self.bounds.force.max(magnitude(sum));
+        }
+        Ok(Outcome::Changed { count: rows.len() })
+    }
+
+    pub(super) fn apply_impulses(&mut self, ids: &Selection, impulse: &Column<R::Vec3>) -> Result<Outcome, Error> {
+        let rows = self.rows(ids)?;
+        let impulse = vectors(impulse, Field::Impulse, rows.len())?;
+        // The new velocities are computed aside: a particle that is named twice starts from its first one.
+        let mut velocities: HashMap<usize, [R; 3]> = HashMap::with_capacity(rows.len());
+        let mut form = LastForm::default();
+        for (i, &row) in rows.iter().enumerate() {
+            let velocity = velocities.entry(row).or_insert_with(|| self.now(row, &mut form).1);
+            let w = self.particles.inverse_mass.get(row);
+            *velocity = add(*velocity, impulse.get(i).map(|j| j * w));
+            if !velocity.iter().all(|x| x.is_finite()) {
+                return Err(self.overflow(row, Quantity::Velocity, Field::Impulse, &impulse, i));
+            }
+        }
+        for (row, velocity) in velocities {
+            self.rebase(row, &mut form);
+            self.particles.velocity[row] = velocity;
+            self.bounds.include(&self.particles, row);
+        }
+        Ok(Outcome::Changed { count: rows.len() })
+    }
+
+    fn overflow<T: Copy + PartialEq>(
+        &self,
+        row: usize,
+        quantity: Quantity,
+        field: Field,
+        column: &Column<T>,
+        index: usize,
+    ) -> Error {
+        let index = column.len_if_per_particle().map(|_| index);
+        Error::Overflow { particle: self.ids.id(row), quantity, place: Place { field, index } }
+    }
+
+    pub(super) fn remove_all(&mut self, selection: &Selection) -> Result<Outcome, Error> {
+        let listed: Vec<ParticleId> = match selection {
+            Selection::All => self.ids.from(0).map(|(id, _)| id).collect(),
+            Selection::Ids(ids) => {
+                self.rows(selection)?;
+                let mut seen = HashSet::with_capacity(ids.len());
+                if let Some((index, &id)) = ids.iter().enumerate().find(|(_, id)| !seen.insert(**id)) {
+                    return Err(Error::RemovedTwice { id, index });
+                }
+                ids.clone()
+            }
+        };
+        for &id in &listed {
+            let row = self.ids.remove(id).expect("every id was looked up above");
+            self.particles.swap_remove(row);
+        }
+        self.factors.forget();
+        Ok(Outcome::Changed { count: listed.len() })
+    }
+
+    pub(super) fn configure(&mut self, change: &Configure<R>) -> Result<(), Error> {
+        let mut settings = self.settings;
+        if let Some(gravity) = change.gravity {
+            let gravity = vectors(&Column::Uniform(gravity), Field::Gravity, 0)?.map(|g| g.map(positive_zero));
+            settings.gravity = gravity.get(0).into();
+        }
+        if let Some(max_step) = change.max_step {
+            settings.max_step = max_step.map(valid_max_step).transpose()?;
+        }
+        settings.integrator = change.integrator.unwrap_or(settings.integrator);
+        settings.damping_law = change.damping_law.unwrap_or(settings.damping_law);
+        let Settings { integrator, damping_law, .. } = settings;
+        if !integrator.serves(damping_law) {
+            return Err(Error::IntegratorCannotServeDamping { integrator, damping_law });
+        }
+        let motion_changes = change.integrator.is_some() || change.gravity.is_some();
+        if motion_changes {
+            let rows: Vec<usize> = (0..self.particles.len())
+                .filter(|&row| change.integrator.is_some() || self.follows_gravity(row))
+                .collect();
+            self.rebase_all(&rows);
+        }
+        self.settings = settings;
+        if motion_changes {
+            self.bounds = Bounds::of(&self.particles, settings.gravity.into());
+        }
+        Ok(())
+    }
+
+    fn follows_gravity(&self, row: usize) -> bool {
+        !self.particles.has_own_acceleration.get(row) && self.particles.inverse_mass.get(row) != R::ZERO
+    }
+}
+
+/// -0 as 0, so that adding it changes no bit.
+fn positive_zero<R: Real>(x: R) -> R {
+    x + R::ZERO
+}
+
+pub(super) fn valid_max_step(max_step: f64) -> Result<f64, Error> {
+    if !max_step.is_finite() {
+        Err(Error::NotFinite(Field::MaxStep.whole()))
+    } else if max_step <= 0.0 {
+        Err(Error::MaxStepNotPositive)
+    } else {
+        Ok(max_step)
+    }
+}
+
+fn check_len<T: Copy + PartialEq>(column: &Column<T>, field: Field, expected: usize) -> Result<(), Error> {
+    match column.len_if_per_particle() {
+        Some(len) if len != expected => Err(Error::LengthMismatch { field, len, expected }),
+        Some(_) | None => Ok(()),
+    }
+}
+
+fn check_each<T: Copy + PartialEq>(
+    column: &Column<T>,
+    field: Field,
+    count: usize,
+    check: impl Fn(T, Place) -> Result<(), Error>,
+) -> Result<(), Error> {
+    check_len(column, field, count)?;
+    column.entries().try_for_each(|(index, value)| check(value, Place { field, index }))
+}
+
+fn check_finite<R: Real>(x: [R; 3], place: Place) -> Result<(), Error> {
+    if x.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(Error::NotFinite(place)) }
+}
+
+fn vectors<R: Real, V: Copy + PartialEq + Into<[R; 3]>>(
+    column: &Column<V>,
+    field: Field,
+    count: usize,
+) -> Result<Column<[R; 3]>, Error> {
+    check_each(column, field, count, |v, place| check_finite(v.into(), place))?;
+    Ok(column.map(Into::into))
+}
+
+fn accelerations<R: Real, V: Copy + PartialEq + Into<[R; 3]>>(
+    column: &Column<Option<V>>,
+    count: usize,
+) -> Result<Column<Option<[R; 3]>>, Error> {
+    check_each(column, Field::Acceleration, count, |own, place| {
+        own.map_or(Ok(()), |own| check_finite(own.into(), place))
+    })?;
+    Ok(column.map(|own| own.map(|own| own.into().map(positive_zero))))
+}
+
+fn dampings<R: Real>(column: &Column<R>, count: usize) -> Result<Column<R>, Error> {
+    check_each(column, Field::Damping, count, |d, place| {
+        if !d.is_finite() {
+            Err(Error::NotFinite(place))
+        } else if d < R::ZERO || d > R::ONE {
+            Err(Error::DampingOutOfRange(place))
+        } else {
+            Ok(())
+        }
+    })?;
+    Ok(column.map(positive_zero))
+}
+
+fn inverse_masses<R: Real>(column: &Column<Mass<R>>, count: usize) -> Result<Column<R>, Error> {
+    check_each(column, Field::Mass, count, |mass, place| {
+        let place = match mass {
+            Mass::Mass(_) => place,
+            Mass::Inverse(_) => Place { field: Field::InverseMass, ..place },
+        };
+        match mass {
+            Mass::Mass(m) | Mass::Inverse(m) if !m.is_finite() => Err(Error::NotFinite(place)),
+            Mass::Mass(m) if m <= R::ZERO => Err(Error::MassNotPositive(place)),
+            Mass::Mass(m) if !(R::ONE / m).is_finite() => Err(Error::MassTooSmall(place)),
+            Mass::Inverse(w) if w < R::ZERO => Err(Error::InverseMassNegative(place)),
+            Mass::Mass(_) | Mass::Inverse(_) => Ok(()),
+        }
+    })?;
+    Ok(column.map(|mass| match mass {
+        Mass::Mass(m) => R::ONE / m,
+        Mass::Inverse(w) => positive_zero(w),
+    }))
+}
+
+/// Writes new values to some rows; one value for every particle makes the column uniform.
+fn assign<T: Copy + PartialEq>(
+    column: &mut Column<T>,
+    values: Option<Column<T>>,
+    rows: &[usize],
+    every: bool,
+    len: usize,
+) {
+    match values {
+        None => {}
+        Some(Column::Uniform(value)) if every => *column = Column::Uniform(value),
+        Some(values) => rows.iter().enumerate().for_each(|(i, &row)| column.set(row, values.get(i), len)),
+    }
+}

@@ -1,0 +1,413 @@
+//! A world: particles, settings and a clock; and the one place where commands change it.
+
+mod advance;
+mod bounds;
+mod change;
+mod drive;
+
+use std::sync::atomic::AtomicBool;
+
+use fearless_simd::Level;
+
+use crate::closed_form::ClosedForm;
+use crate::column::Column;
+use crate::command::{Advance, Advanced, Command, Configure, Mass, Outcome, Particle, Settings};
+use crate::double_double::DoubleDouble;
+use crate::error::{Error, Limits};
+use crate::ids::{Ids, ParticleId};
+use crate::kernel;
+use crate::particles::Particles;
+use crate::real::Real;
+use bounds::Bounds;
+use drive::Factors;
+
+pub use advance::StepPlan;
+
+/// Particles that move together, in one precision, under one clock.
+///
+/// ```
+/// use pointmass::{DVec3, Particle, Settings, World};
+/// let mut world = World::new(Settings { gravity: DVec3::new(0.0, -10.0, 0.0), ..Settings::default() })?;
+/// let ball = world.create(Particle { velocity: DVec3::new(3.0, 20.0, 0.0), ..Particle::default() })?;
+/// world.set_mass(ball, 2.0)?;
+/// world.advance(1.5)?;
+/// let state = world.particle(ball)?;
+/// assert_eq!(state.position, DVec3::new(4.5, 18.75, 0.0));
+/// assert_eq!(state.velocity, DVec3::new(3.0, 5.0, 0.0));
+/// # Ok::<(), pointmass::Error>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct World<R: Real = f64> {
+    settings: Settings<R>,
+    limits: Limits,
+    particles: Particles<R>,
+    ids: Ids,
+    clock: DoubleDouble,
+    step_count: u64,
+    revision: u64,
+    bounds: Bounds,
+    factors: Factors<R>,
+    level: Level,
+}
+
+/// The state of a particle at the clock of its world.
+///
+/// ```
+/// use pointmass::{Mass, Particle, World};
+/// let mut world = World::<f32>::default();
+/// let id = world.create(Particle { mass: Mass::Mass(4.0), ..Particle::default() })?;
+/// let state = world.particle(id)?;
+/// assert_eq!((state.inverse_mass, state.mass()), (0.25, Some(4.0)));
+/// # Ok::<(), pointmass::Error>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ParticleState<R: Real = f64> {
+    /// Its name in the world.
+    pub id: ParticleId,
+    /// Metres.
+    pub position: R::Vec3,
+    /// Metres per second.
+    pub velocity: R::Vec3,
+    /// The effective acceleration in m/s², without the share of the force: its own, else the gravity of the world, and
+    /// zero for an immovable particle without its own.
+    pub acceleration: R::Vec3,
+    /// Its own acceleration in m/s², if it has one.
+    pub own_acceleration: Option<R::Vec3>,
+    /// The share of the velocity that is kept each second, 0 to 1.
+    pub damping: R,
+    /// 1/m in 1/kg; 0 is immovable.
+    pub inverse_mass: R,
+    /// The sum of the forces, in newtons, added since the last advance.
+    pub force: R::Vec3,
+}
+
+impl<R: Real> ParticleState<R> {
+    /// 1/inverse mass in kilograms; `None` when the particle is immovable, or so heavy that the number is not finite (an
+    /// inverse mass below about 2⁻¹⁰²⁴, 2⁻¹²⁸ in single).
+    #[must_use]
+    pub fn mass(&self) -> Option<R> {
+        Some(R::ONE / self.inverse_mass).filter(|mass| mass.is_finite())
+    }
+}
+
+static NEVER_CANCELLED: AtomicBool = AtomicBool::new(false);
+
+impl<R: Real> Default for World<R> {
+    fn default() -> Self {
+        Self::new(Settings::default()).expect("the default settings are valid")
+    }
+}
+
+impl<R: Real> World<R> {
+    /// An empty world at time 0.
+    ///
+    /// # Errors
+    /// A gravity or `max_step` that is not valid, or an integrator that cannot serve the damping law.
+    pub fn new(settings: Settings<R>) -> Result<Self, Error> {
+        Self::with_limits(settings, Limits::default())
+    }
+
+    /// The same with limits, which [`World::apply`] enforces from then on.
+    ///
+    /// # Errors
+    /// As [`World::new`].
+    pub fn with_limits(settings: Settings<R>, mut limits: Limits) -> Result<Self, Error> {
+        limits.particles = limits.particles.min(Limits::default().particles);
+        limits.steps = limits.steps.min(Limits::default().steps);
+        let mut world = Self {
+            settings: Settings::default(),
+            limits,
+            particles: Particles::new(),
+            ids: Ids::default(),
+            clock: DoubleDouble::default(),
+            step_count: 0,
+            revision: 0,
+            bounds: Bounds::default(),
+            factors: Factors::default(),
+            level: Level::new(),
+        };
+        world.configure(&Configure {
+            integrator: Some(settings.integrator),
+            gravity: Some(settings.gravity),
+            damping_law: Some(settings.damping_law),
+            max_step: Some(settings.max_step),
+        })?;
+        Ok(world)
+    }
+
+    /// Applies a command: all of it, or nothing and an error.
+    ///
+    /// # Errors
+    /// What the command says that is not valid, or what it would make of the world.
+    pub fn apply(&mut self, command: &Command<R>) -> Result<Outcome, Error> {
+        self.apply_unless(command, &NEVER_CANCELLED)
+    }
+
+    /// The same, given up as soon as `cancelled` is seen to be true: an advance looks about every millisecond.
+    ///
+    /// # Errors
+    /// As [`World::apply`], and [`Error::Cancelled`].
+    pub fn apply_unless(&mut self, command: &Command<R>, cancelled: &AtomicBool) -> Result<Outcome, Error> {
+        let outcome = match command {
+            Command::Create(new) => self.create_columns(new)?,
+            Command::Place { ids, position, velocity } => self.place_all(ids, position.as_ref(), velocity.as_ref())?,
+            Command::Set { ids, acceleration, damping, mass } => {
+                self.set_all(ids, acceleration.as_ref(), damping.as_ref(), mass.as_ref())?
+            }
+            Command::AddForce { ids, force } => self.add_forces(ids, force)?,
+            Command::Impulse { ids, impulse } => self.apply_impulses(ids, impulse)?,
+            Command::Remove { ids } => self.remove_all(ids)?,
+            Command::Advance(advance) => Outcome::Advanced(self.advance_all(advance, cancelled)?),
+            Command::Configure(change) => {
+                self.configure(change)?;
+                Outcome::Configured
+            }
+        };
+        self.revision += 1;
+        Ok(outcome)
+    }
+
+    /// Creates one particle.
+    ///
+    /// # Errors
+    /// A value out of its range, see [`Particle`]; [`Error::LimitReached`].
+    pub fn create(&mut self, particle: Particle<R>) -> Result<ParticleId, Error> {
+        let first = ParticleId(self.ids.next());
+        self.apply(&Command::Create(particle.into())).map(|_| first)
+    }
+
+    /// Teleports a particle; `None` leaves the position or the velocity as it is.
+    ///
+    /// # Errors
+    /// Unknown particle; a value that is not finite; both `None`.
+    pub fn place(&mut self, id: ParticleId, position: Option<R::Vec3>, velocity: Option<R::Vec3>) -> Result<(), Error> {
+        let (position, velocity) = (position.map(Column::Uniform), velocity.map(Column::Uniform));
+        self.apply(&Command::Place { ids: id.into(), position, velocity }).map(drop)
+    }
+
+    /// Gives a particle an acceleration of its own, in m/s²; `None`: it follows the gravity of the world again.
+    ///
+    /// # Errors
+    /// Unknown particle; a value that is not finite.
+    pub fn set_acceleration(&mut self, id: ParticleId, acceleration: Option<R::Vec3>) -> Result<(), Error> {
+        let acceleration = Some(Column::Uniform(acceleration));
+        self.apply(&Command::Set { ids: id.into(), acceleration, damping: None, mass: None }).map(drop)
+    }
+
+    /// Sets the share of the velocity that is kept each second.
+    ///
+    /// # Errors
+    /// Unknown particle; not between 0 and 1.
+    pub fn set_damping(&mut self, id: ParticleId, damping: R) -> Result<(), Error> {
+        let damping = Some(Column::Uniform(damping));
+        self.apply(&Command::Set { ids: id.into(), acceleration: None, damping, mass: None }).map(drop)
+    }
+
+    /// Sets the mass in kilograms.
+    ///
+    /// # Errors
+    /// Unknown particle; not above 0, or its inverse not finite.
+    pub fn set_mass(&mut self, id: ParticleId, mass: R) -> Result<(), Error> {
+        self.set_inertia(id, Mass::Mass(mass))
+    }
+
+    /// Sets the inverse mass in 1/kg; 0 makes the particle immovable.
+    ///
+    /// # Errors
+    /// Unknown particle; below 0 or not finite.
+    pub fn set_inverse_mass(&mut self, id: ParticleId, inverse_mass: R) -> Result<(), Error> {
+        self.set_inertia(id, Mass::Inverse(inverse_mass))
+    }
+
+    fn set_inertia(&mut self, id: ParticleId, mass: Mass<R>) -> Result<(), Error> {
+        let mass = Some(Column::Uniform(mass));
+        self.apply(&Command::Set { ids: id.into(), acceleration: None, damping: None, mass }).map(drop)
+    }
+
+    /// Adds a force in newtons; the sum acts through the whole next advance and is then cleared
+    /// (Millington, chapter 3: the force accumulator and d'Alembert's principle).
+    ///
+    /// # Errors
+    /// Unknown particle; a force or a sum that is not finite.
+    pub fn add_force(&mut self, id: ParticleId, force: R::Vec3) -> Result<(), Error> {
+        self.apply(&Command::AddForce { ids: id.into(), force: Column::Uniform(force) }).map(drop)
+    }
+
+    /// Changes the velocity at once by an impulse in newton seconds: v += J w.
+    ///
+    /// # Errors
+    /// Unknown particle; an impulse or a velocity that is not finite.
+    pub fn apply_impulse(&mut self, id: ParticleId, impulse: R::Vec3) -> Result<(), Error> {
+        self.apply(&Command::Impulse { ids: id.into(), impulse: Column::Uniform(impulse) }).map(drop)
+    }
+
+    /// Removes a particle.
+    ///
+    /// # Errors
+    /// Unknown particle.
+    pub fn remove(&mut self, id: ParticleId) -> Result<(), Error> {
+        self.apply(&Command::Remove { ids: id.into() }).map(drop)
+    }
+
+    /// Moves the world forward by a duration in seconds, or as an [`Advance`] says.
+    ///
+    /// # Errors
+    /// A duration or steps that are not valid; [`Error::Diverged`]; [`Error::ClockOutOfRange`];
+    /// [`Error::LimitReached`].
+    pub fn advance(&mut self, advance: impl Into<Advance>) -> Result<Advanced, Error> {
+        match self.apply(&Command::Advance(advance.into()))? {
+            Outcome::Advanced(advanced) => Ok(advanced),
+            Outcome::Created { .. } | Outcome::Changed { .. } | Outcome::Configured => {
+                unreachable!("an advance answers with what it advanced")
+            }
+        }
+    }
+
+    /// The settings in force.
+    #[must_use]
+    pub fn settings(&self) -> &Settings<R> {
+        &self.settings
+    }
+
+    /// The clock in seconds: the double nearest to the exact sum of all durations.
+    #[must_use]
+    pub fn time(&self) -> f64 {
+        self.clock.hi
+    }
+
+    /// The steps of all advances so far.
+    #[must_use]
+    pub fn step_count(&self) -> u64 {
+        self.step_count
+    }
+
+    /// The number of commands applied so far.
+    #[must_use]
+    pub fn revision(&self) -> u64 {
+        self.revision
+    }
+
+    /// How many particles there are.
+    #[must_use]
+    pub fn particle_count(&self) -> usize {
+        self.particles.len()
+    }
+
+    /// Whether there is such a particle.
+    #[must_use]
+    pub fn contains(&self, id: ParticleId) -> bool {
+        self.ids.row(id).is_some()
+    }
+
+    /// The state of one particle. Reading never changes a bit of anything.
+    ///
+    /// # Errors
+    /// Unknown particle.
+    pub fn particle(&self, id: ParticleId) -> Result<ParticleState<R>, Error> {
+        let row = self.ids.row(id).ok_or(Error::UnknownParticle { id, index: 0 })?;
+        Ok(self.state(id, row, &mut LastForm::default()))
+    }
+
+    /// The states of all particles, in ascending order of id.
+    pub fn particles(&self) -> impl Iterator<Item = ParticleState<R>> {
+        self.particles_from(ParticleId(0))
+    }
+
+    /// The same, from the first id that is at least `first`.
+    pub fn particles_from(&self, first: ParticleId) -> impl Iterator<Item = ParticleState<R>> {
+        let mut form = LastForm::default();
+        self.ids.from(first.0).map(move |(id, row)| self.state(id, row, &mut form))
+    }
+
+    fn gravity(&self) -> [R; 3] {
+        self.settings.gravity.into()
+    }
+
+    /// Position and velocity at the clock.
+    fn now(&self, row: usize, form: &mut LastForm) -> ([R; 3], [R; 3]) {
+        self.at(row, self.clock, form)
+    }
+
+    /// Position and velocity at a clock that is not before the base time.
+    fn at(&self, row: usize, clock: DoubleDouble, form: &mut LastForm) -> ([R; 3], [R; 3]) {
+        let particles = &self.particles;
+        let (p, v) = (particles.position[row], particles.velocity[row]);
+        let elapsed = (clock - particles.base_time.get(row)).hi;
+        if elapsed == 0.0 || particles.is_resting(row) {
+            return (p, v);
+        }
+        let acceleration = particles.acceleration(row, self.gravity()).map(Into::into);
+        flowed(p, v, acceleration, particles.damping.get(row), elapsed, form)
+    }
+
+    /// Stores what a read of now returns, with the clock as base time. Does nothing under a stepped integrator, whose
+    /// states always hold at the clock.
+    fn rebase(&mut self, row: usize, form: &mut LastForm) {
+        let len = self.particles.len();
+        (self.particles.position[row], self.particles.velocity[row]) = self.now(row, form);
+        self.particles.base_time.set(row, self.clock, len);
+    }
+
+    fn rebase_all(&mut self, rows: &[usize]) {
+        let mut form = LastForm::default();
+        for &row in rows {
+            self.rebase(row, &mut form);
+        }
+        if rows.len() >= self.particles.len()
+            && (0..self.particles.len()).all(|row| self.particles.base_time.get(row) == self.clock)
+        {
+            self.particles.base_time = Column::Uniform(self.clock);
+        }
+    }
+
+    fn state(&self, id: ParticleId, row: usize, form: &mut LastForm) -> ParticleState<R> {
+        let (position, velocity) = self.now(row, form);
+        let particles = &self.particles;
+        ParticleState {
+            id,
+            position: position.into(),
+            velocity: velocity.into(),
+            acceleration: particles.acceleration(row, self.gravity()).into(),
+            own_acceleration: particles.own(row).map(Into::into),
+            damping: particles.damping.get(row),
+            inverse_mass: particles.inverse_mass.get(row),
+            force: particles.force.get(row).into(),
+        }
+    }
+}
+
+fn add<R: Real>(a: [R; 3], b: [R; 3]) -> [R; 3] {
+    std::array::from_fn(|k| a[k] + b[k])
+}
+
+/// The closed form over a time, computed in double and rounded once.
+fn flowed<R: Real>(
+    p: [R; 3],
+    v: [R; 3],
+    acceleration: [f64; 3],
+    damping: R,
+    time: f64,
+    form: &mut LastForm,
+) -> ([R; 3], [R; 3]) {
+    let form = form.of(damping.into(), time);
+    let (p, v) = form.apply(p.map(Into::into), v.map(Into::into), acceleration);
+    let v = v.map(R::nearest);
+    (p.map(R::nearest), if damping < R::ONE { v.map(|v| kernel::at_rest_below(v, R::REST)) } else { v })
+}
+
+/// The closed form that was last used: particles with the same damping and base time share it.
+#[derive(Debug, Default)]
+struct LastForm(Option<(f64, f64, ClosedForm)>);
+
+impl LastForm {
+    fn of(&mut self, damping: f64, time: f64) -> ClosedForm {
+        match self.0 {
+            Some((d, t, form)) if d == damping && t == time => form,
+            Some(_) | None => {
+                let form = ClosedForm::new(damping, time);
+                self.0 = Some((damping, time, form));
+                form
+            }
+        }
+    }
+}
