@@ -39,6 +39,17 @@ impl<T: Copy + PartialEq> Column<T> {
         }
     }
 
+    /// The same column, uniform when all of its values are equal.
+    pub(crate) fn collapsed(self) -> Self {
+        match &self {
+            Self::PerParticle(values) => match values.split_first() {
+                Some((first, rest)) if rest.iter().all(|value| value == first) => Self::Uniform(*first),
+                Some(_) | None => self,
+            },
+            Self::Uniform(_) => self,
+        }
+    }
+
     /// The values it stores, each with the index of its particle, or with none when it stands for all.
     pub(crate) fn entries(&self) -> impl Iterator<Item = (Option<usize>, T)> {
         let (uniform, values) = match self {
@@ -121,6 +132,8 @@ mod tests {
         assert_eq!(column, Column::PerParticle(vec![7.0, 5.0, 2.0]));
         let mut column = Column::Uniform(2.0);
         column.extend(1, &Column::PerParticle(vec![3.0, 4.0]), 2);
+        assert_eq!(Column::PerParticle(vec![3.0, 4.0]).collapsed(), Column::PerParticle(vec![3.0, 4.0]));
+        assert_eq!(Column::PerParticle(vec![3.0, 3.0]).collapsed(), Column::Uniform(3.0));
         assert_eq!(column, Column::PerParticle(vec![2.0, 3.0, 4.0]));
     }
 }

@@ -170,7 +170,7 @@ impl<R: Real> World<R> {
     fn run_steps(&mut self, step: Step<R>, steps: u64, cancelled: &AtomicBool) -> Result<(), Error> {
         let mut position = std::mem::take(&mut self.particles.position);
         let mut velocity = std::mem::take(&mut self.particles.velocity);
-        let mut scratch = Scratch::new();
+        let mut scratch = std::mem::take(&mut self.scratch);
         let mut work = 0;
         let mut run = || {
             for (block, (p, v)) in position.chunks_mut(BLOCK).zip(velocity.chunks_mut(BLOCK)).enumerate() {
@@ -192,6 +192,7 @@ impl<R: Real> World<R> {
         };
         let result = run();
         (self.particles.position, self.particles.velocity) = (position, velocity);
+        self.scratch = scratch;
         result
     }
 
@@ -220,7 +221,7 @@ impl<R: Real> World<R> {
         let diverged = ended.filter(|(_, (p, v))| kernel::non_finite(*p, *v).is_some());
         let Some((particle, row)) = diverged.map(|(row, _)| (self.ids.id(row), row)).min() else { return Ok(()) };
         let (mut p, mut v) = (before.0[row], before.1[row]);
-        let mut scratch = Scratch::new();
+        let mut scratch = Scratch::default();
         let drive = scratch.drive(self, row..row + 1);
         let (mut work, mut done) = (0, 0);
         while done < steps {

@@ -39,7 +39,7 @@ impl<R: Real> World<R> {
         particles.position.extend((0..count).map(|i| position.get(i)));
         particles.velocity.extend((0..count).map(|i| velocity.get(i)));
         particles.own_acceleration.extend(len, &acceleration.map(Option::unwrap_or_default), count);
-        particles.has_own_acceleration.extend(len, &acceleration.map(|own| own.is_some()), count);
+        particles.has_own_acceleration.extend(len, &acceleration.map(|own| own.is_some()).collapsed(), count);
         particles.damping.extend(len, &damping, count);
         self.factors.forget();
         particles.inverse_mass.extend(len, &inverse_mass, count);
@@ -98,7 +98,7 @@ impl<R: Real> World<R> {
         let every = *ids == Selection::All;
         let particles = &mut self.particles;
         let len = particles.len();
-        let has_own = acceleration.as_ref().map(|column| column.map(|own| own.is_some()));
+        let has_own = acceleration.as_ref().map(|column| column.map(|own| own.is_some()).collapsed());
         let own = acceleration.map(|column| column.map(Option::unwrap_or_default));
         assign(&mut particles.has_own_acceleration, has_own, &rows, every, len);
         assign(&mut particles.own_acceleration, own, &rows, every, len);

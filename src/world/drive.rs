@@ -6,7 +6,7 @@ use std::ops::Range;
 use crate::column::Column;
 use crate::integrator::DampingLaw;
 use crate::kernel::{self, Drive};
-use crate::particles::{Driving, zero};
+use crate::particles::Driving;
 use crate::real::Real;
 use crate::world::World;
 
@@ -57,30 +57,29 @@ fn damping_factor<R: Real>(law: DampingLaw, damping: R, h: R) -> R {
 /// Particles that are moved together: with all that drives them, they fit into the first cache.
 pub(super) const BLOCK: usize = 256;
 
-/// Room for what drives the components of one block, where no column has it as it is.
+/// Room for what drives the components of one block, where no column has it as it is. The world keeps it, so that an
+/// advance allocates nothing; it is as large as the scene needs, and at most one block.
+#[derive(Debug, Clone, Default)]
 pub(super) struct Scratch<R> {
-    acceleration: [R; 3 * BLOCK],
+    acceleration: Vec<R>,
     /// What the acceleration is filled with, when it is the same for all.
     uniform: Option<[R; 3]>,
-    factor: [R; 3 * BLOCK],
-    rest: [R; 3 * BLOCK],
+    factor: Vec<R>,
+    rest: Vec<R>,
 }
 
 impl<R: Real> Scratch<R> {
-    pub(super) fn new() -> Self {
-        let zeros = [R::ZERO; 3 * BLOCK];
-        Self { acceleration: zeros, uniform: Some(zero()), factor: zeros, rest: zeros }
-    }
-
     /// What drives the particles of some rows. Decided by values: a column of equal values is no different from a
     /// uniform one.
     pub(super) fn drive<'a>(&'a mut self, world: &'a World<R>, rows: Range<usize>) -> Drive<'a, R> {
         let particles = &world.particles;
         let len = 3 * rows.len();
+        let at_least = |buffer: &mut Vec<R>| buffer.resize(buffer.len().max(len), R::ZERO);
         let acceleration = match particles.driving_acceleration(world.gravity(), rows.clone()) {
             Driving::Column(column) => column.as_flattened(),
             Driving::Uniform(uniform) => {
-                if self.uniform != Some(uniform) {
+                if self.uniform != Some(uniform) || self.acceleration.len() < len {
+                    at_least(&mut self.acceleration);
                     self.acceleration.as_chunks_mut::<3>().0.fill(uniform);
                     self.uniform = Some(uniform);
                 }
@@ -88,6 +87,7 @@ impl<R: Real> Scratch<R> {
             }
             Driving::Each => {
                 self.uniform = None;
+                at_least(&mut self.acceleration);
                 particles.fill_acceleration(world.gravity(), rows.clone(), self.acceleration.as_chunks_mut::<3>().0);
                 &self.acceleration[..len]
             }
@@ -96,11 +96,13 @@ impl<R: Real> Scratch<R> {
             Column::Uniform(d) if *d == R::ONE => kernel::Damping::None,
             Column::Uniform(_) => kernel::Damping::Uniform(world.factors.values[0]),
             Column::PerParticle(dampings) => {
+                at_least(&mut self.factor);
                 let factor = &mut self.factor[..len];
                 kernel::to_components(world.level, &world.factors.values[rows.clone()], factor);
                 if world.factors.all_damped {
                     kernel::Damping::Each(factor)
                 } else {
+                    at_least(&mut self.rest);
                     for (rest, damping) in self.rest.as_chunks_mut::<3>().0.iter_mut().zip(&dampings[rows]) {
                         *rest = [if *damping < R::ONE { R::REST } else { R::ZERO }; 3];
                     }

@@ -19,7 +19,7 @@ use crate::kernel;
 use crate::particles::Particles;
 use crate::real::Real;
 use bounds::Bounds;
-use drive::Factors;
+use drive::{Factors, Scratch};
 
 pub use advance::StepPlan;
 
@@ -47,6 +47,7 @@ pub struct World<R: Real = f64> {
     revision: u64,
     bounds: Bounds,
     factors: Factors<R>,
+    scratch: Scratch<R>,
     level: Level,
 }
 
@@ -124,6 +125,7 @@ impl<R: Real> World<R> {
             revision: 0,
             bounds: Bounds::default(),
             factors: Factors::default(),
+            scratch: Scratch::default(),
             level: Level::new(),
         };
         world.configure(&Configure {
