@@ -216,12 +216,16 @@ impl Client {
 }
 
 /// Waits until so many requests besides the one that asks are in flight.
+#[track_caller]
 pub(crate) fn wait_for_in_flight(address: SocketAddr, count: usize) {
     let mut client = Client::connect(address);
     let line = format!("\npointmass_in_flight {}\n", count + 1);
-    while !client.get("/metrics").text().contains(&line) {
-        std::thread::yield_now();
+    for _ in 0..100_000 {
+        if client.get("/metrics").text().contains(&line) {
+            return;
+        }
     }
+    panic!("there were never {count} requests in flight");
 }
 
 fn description() -> &'static Value {
