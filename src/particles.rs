@@ -98,19 +98,10 @@ impl<R: Real> Particles<R> {
 
     /// Computes the acceleration of some rows, with the share of the force.
     pub(crate) fn fill_acceleration(&self, gravity: [R; 3], rows: Range<usize>, into: &mut [[R; 3]]) {
-        for (row, a) in rows.clone().zip(into.iter_mut()) {
-            *a = self.acceleration(row, gravity);
-        }
-        if let Column::PerParticle(forces) = &self.force {
-            for ((a, force), row) in into.iter_mut().zip(&forces[rows.clone()]).zip(rows) {
-                let w = self.inverse_mass.get(row);
-                *a = std::array::from_fn(|k| a[k] + force[k] * w);
-            }
-        } else if let Column::Uniform(force) = self.force {
-            for (a, row) in into.iter_mut().zip(rows) {
-                let w = self.inverse_mass.get(row);
-                *a = std::array::from_fn(|k| a[k] + force[k] * w);
-            }
+        for (row, a) in rows.zip(into) {
+            let own = self.acceleration(row, gravity);
+            let (w, f) = (self.inverse_mass.get(row), self.force.get(row));
+            *a = std::array::from_fn(|k| own[k] + f[k] * w);
         }
     }
 

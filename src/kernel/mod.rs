@@ -131,83 +131,11 @@ trait Source<R: Real>: Copy {
     fn register<S: Simd>(&self, simd: S, index: usize) -> R::Lanes<S>;
 }
 
-/// D of a block, and where velocities come to rest.
-trait Damper<R: Real>: Copy {
-    /// Whether anything is damped.
-    const DAMPS: bool = true;
-    type Factor: Source<R>;
-    type Rest: Source<R>;
-    fn factor(&self) -> Self::Factor;
-    fn rest(&self) -> Self::Rest;
-}
-
-/// D = 1 for all.
+/// D of a block, and below which magnitude velocities come to rest; without `DAMPS` neither is looked at.
 #[derive(Clone, Copy)]
-struct Undamped;
-/// The same D below 1 for all.
-#[derive(Clone, Copy)]
-struct DampedAlike<R>(R);
-/// A D below 1 for each component.
-#[derive(Clone, Copy)]
-struct DampedEach<'a, R>(&'a [R]);
-/// A D for each component, and what rests.
-#[derive(Clone, Copy)]
-struct DampedMixed<'a, R> {
-    factor: &'a [R],
-    rest: &'a [R],
-}
-
-impl<R: Real> Damper<R> for Undamped {
-    const DAMPS: bool = false;
-    type Factor = Same<R>;
-    type Rest = Same<R>;
-    #[inline(always)]
-    fn factor(&self) -> Same<R> {
-        Same(R::ONE)
-    }
-    #[inline(always)]
-    fn rest(&self) -> Same<R> {
-        Same(R::ZERO)
-    }
-}
-
-impl<R: Real> Damper<R> for DampedAlike<R> {
-    type Factor = Same<R>;
-    type Rest = Same<R>;
-    #[inline(always)]
-    fn factor(&self) -> Same<R> {
-        Same(self.0)
-    }
-    #[inline(always)]
-    fn rest(&self) -> Same<R> {
-        Same(R::REST)
-    }
-}
-
-impl<'a, R: Real> Damper<R> for DampedEach<'a, R> {
-    type Factor = Each<'a, R>;
-    type Rest = Same<R>;
-    #[inline(always)]
-    fn factor(&self) -> Each<'a, R> {
-        Each(self.0)
-    }
-    #[inline(always)]
-    fn rest(&self) -> Same<R> {
-        Same(R::REST)
-    }
-}
-
-impl<'a, R: Real> Damper<R> for DampedMixed<'a, R> {
-    type Factor = Each<'a, R>;
-    type Rest = Each<'a, R>;
-    #[inline(always)]
-    fn factor(&self) -> Each<'a, R> {
-        Each(self.factor)
-    }
-    #[inline(always)]
-    fn rest(&self) -> Each<'a, R> {
-        Each(self.rest)
-    }
+struct Damper<F, T, const DAMPS: bool> {
+    factor: F,
+    rest: T,
 }
 
 /// The same for all components.
@@ -242,32 +170,44 @@ impl<R: Real> Source<R> for Each<'_, R> {
 fn with_damping<R: Real, K: Scheme>(level: Level, h: R, drive: Drive<'_, R>, steps: u64, p: &mut [R], v: &mut [R]) {
     let a = Each(drive.acceleration);
     match drive.damping {
-        Damping::None => compiled::<R, K, _>(level, h, a, Undamped, steps, p, v),
-        Damping::Uniform(d) => compiled::<R, K, _>(level, h, a, DampedAlike(d), steps, p, v),
-        Damping::Each(factor) => compiled::<R, K, _>(level, h, a, DampedEach(factor), steps, p, v),
-        Damping::Mixed { factor, rest } => compiled::<R, K, _>(level, h, a, DampedMixed { factor, rest }, steps, p, v),
+        Damping::None => {
+            let d = Damper::<_, _, false> { factor: Same(R::ONE), rest: Same(R::ZERO) };
+            compiled::<R, K, _, _, _>(level, h, a, d, steps, p, v);
+        }
+        Damping::Uniform(factor) => {
+            let d = Damper::<_, _, true> { factor: Same(factor), rest: Same(R::REST) };
+            compiled::<R, K, _, _, _>(level, h, a, d, steps, p, v);
+        }
+        Damping::Each(factor) => {
+            let d = Damper::<_, _, true> { factor: Each(factor), rest: Same(R::REST) };
+            compiled::<R, K, _, _, _>(level, h, a, d, steps, p, v);
+        }
+        Damping::Mixed { factor, rest } => {
+            let d = Damper::<_, _, true> { factor: Each(factor), rest: Each(rest) };
+            compiled::<R, K, _, _, _>(level, h, a, d, steps, p, v);
+        }
     }
 }
 
-fn compiled<R: Real, K: Scheme, D: Damper<R>>(
+fn compiled<R: Real, K: Scheme, F: Source<R>, T: Source<R>, const DAMPS: bool>(
     level: Level,
     h: R,
     a: Each<'_, R>,
-    d: D,
+    d: Damper<F, T, DAMPS>,
     steps: u64,
     p: &mut [R],
     v: &mut [R],
 ) {
-    dispatch!(level, simd => block::<_, R, K, D>(simd, h, a, d, steps, p, v));
+    dispatch!(level, simd => block::<_, R, K, _, _, _>(simd, h, a, d, steps, p, v));
 }
 
 /// Groups of six registers, which hide the latency of the arithmetic; then of three; then one number at a time.
 #[inline(always)]
-fn block<S: Simd, R: Real, K: Scheme, D: Damper<R>>(
+fn block<S: Simd, R: Real, K: Scheme, F: Source<R>, T: Source<R>, const DAMPS: bool>(
     simd: S,
     h: R,
     a: Each<'_, R>,
-    d: D,
+    d: Damper<F, T, DAMPS>,
     steps: u64,
     p: &mut [R],
     v: &mut [R],
@@ -275,24 +215,24 @@ fn block<S: Simd, R: Real, K: Scheme, D: Damper<R>>(
     let lanes = R::Lanes::<S>::LEN;
     let mut at = 0;
     while at + 6 * lanes <= p.len() {
-        group::<S, R, K, D, 6>(simd, h, a, d, steps, at, p, v);
+        group::<S, R, K, _, _, _, 6>(simd, h, a, d, steps, at, p, v);
         at += 6 * lanes;
     }
     while at + 3 * lanes <= p.len() {
-        group::<S, R, K, D, 3>(simd, h, a, d, steps, at, p, v);
+        group::<S, R, K, _, _, _, 3>(simd, h, a, d, steps, at, p, v);
         at += 3 * lanes;
     }
     for index in at..p.len() {
-        single::<R, K, D>(h, a, d, steps, index, p, v);
+        single::<R, K, _, _, _>(h, a, d, steps, index, p, v);
     }
 }
 
 #[inline(always)]
-fn group<S: Simd, R: Real, K: Scheme, D: Damper<R>, const N: usize>(
+fn group<S: Simd, R: Real, K: Scheme, F: Source<R>, T: Source<R>, const DAMPS: bool, const N: usize>(
     simd: S,
     h: R,
     a: Each<'_, R>,
-    d: D,
+    d: Damper<F, T, DAMPS>,
     steps: u64,
     at: usize,
     p: &mut [R],
@@ -305,7 +245,7 @@ fn group<S: Simd, R: Real, K: Scheme, D: Damper<R>, const N: usize>(
     let mut vs: [R::Lanes<S>; N] =
         std::array::from_fn(|k| R::Lanes::<S>::from_slice(simd, &v[k * lanes..(k + 1) * lanes]));
     let accelerations: [R::Lanes<S>; N] = std::array::from_fn(|k| a.register(simd, at + k * lanes));
-    let dampings: [R::Lanes<S>; N] = std::array::from_fn(|k| d.factor().register(simd, at + k * lanes));
+    let dampings: [R::Lanes<S>; N] = std::array::from_fn(|k| d.factor.register(simd, at + k * lanes));
     let half_square = R::Lanes::<S>::splat(simd, h * h * R::HALF);
     let h = R::Lanes::<S>::splat(simd, h);
     let kicks: [R::Lanes<S>; N] = std::array::from_fn(|k| accelerations[k] * h);
@@ -316,14 +256,14 @@ fn group<S: Simd, R: Real, K: Scheme, D: Damper<R>, const N: usize>(
         let some = left.min(STEPS_BETWEEN_RESTS);
         for _ in 0..some {
             for k in 0..N {
-                let kicked = if D::DAMPS { (vs[k] + kicks[k]) * dampings[k] } else { vs[k] + kicks[k] };
+                let kicked = if DAMPS { (vs[k] + kicks[k]) * dampings[k] } else { vs[k] + kicks[k] };
                 ps[k] = K::drift(ps[k], vs[k], kicked, h, bursts[k]);
                 vs[k] = kicked;
             }
         }
-        if D::DAMPS {
+        if DAMPS {
             for k in 0..N {
-                let rest = d.rest().register(simd, at + k * lanes);
+                let rest = d.rest.register(simd, at + k * lanes);
                 vs[k] = vs[k].abs().simd_lt(rest).select(zero.copysign(vs[k]), vs[k]);
             }
         }
@@ -336,10 +276,10 @@ fn group<S: Simd, R: Real, K: Scheme, D: Damper<R>, const N: usize>(
 }
 
 #[inline(always)]
-fn single<R: Real, K: Scheme, D: Damper<R>>(
+fn single<R: Real, K: Scheme, F: Source<R>, T: Source<R>, const DAMPS: bool>(
     h: R,
     a: Each<'_, R>,
-    d: D,
+    d: Damper<F, T, DAMPS>,
     steps: u64,
     index: usize,
     p: &mut [R],
@@ -347,17 +287,17 @@ fn single<R: Real, K: Scheme, D: Damper<R>>(
 ) {
     let (mut x, mut u) = (p[index], v[index]);
     let (kick, burst) = (a.one(index) * h, a.one(index) * (h * h * R::HALF));
-    let factor = d.factor().one(index);
+    let factor = d.factor.one(index);
     let mut left = steps;
     while left > 0 {
         let some = left.min(STEPS_BETWEEN_RESTS);
         for _ in 0..some {
-            let kicked = if D::DAMPS { (u + kick) * factor } else { u + kick };
+            let kicked = if DAMPS { (u + kick) * factor } else { u + kick };
             x = K::drift(x, u, kicked, h, burst);
             u = kicked;
         }
-        if D::DAMPS {
-            u = at_rest_below(u, d.rest().one(index));
+        if DAMPS {
+            u = at_rest_below(u, d.rest.one(index));
         }
         left -= some;
     }
