@@ -22,9 +22,10 @@
 //!
 //! # Code map
 //!
-//! [`World`] applies [`Command`]s; the methods of `World` are commands for one particle. `world` has a file for changes
-//! and one for time; `kernel` has the stepped integrators and `closed_form` the exact one. Columns, ids and the double-double clock have a file each. Everything
-//! under `server` speaks HTTP; nothing else does. ARCHITECTURE.md says why.
+//! [`World`] applies [`Command`]s; the methods of `World` are commands for one particle. `world` has a file for changes,
+//! one for time and one for the digest (feature `digest`); `kernel` has the stepped integrators and `closed_form` the
+//! exact one. Columns, ids and the double-double clock have a file each. Everything under `server` speaks HTTP; nothing
+//! else does. ARCHITECTURE.md says why.
 
 mod closed_form;
 mod column;
@@ -51,6 +52,8 @@ pub use glam::{DVec3, Vec3};
 pub use ids::ParticleId;
 pub use integrator::{DampingLaw, Integrator};
 pub use real::{Precision, Real};
+#[cfg(feature = "digest")]
+pub use world::Digest;
 pub use world::{ParticleState, StepPlan, World};
 
 /// The Rust of README.md, run as a documentation test.

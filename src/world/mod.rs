@@ -3,6 +3,8 @@
 mod advance;
 mod bounds;
 mod change;
+#[cfg(feature = "digest")]
+mod digest;
 mod drive;
 
 use std::sync::atomic::AtomicBool;
@@ -22,6 +24,8 @@ use bounds::Bounds;
 use drive::{Factors, Scratch};
 
 pub use advance::StepPlan;
+#[cfg(feature = "digest")]
+pub use digest::Digest;
 
 /// Particles that move together, in one precision, under one clock.
 ///
