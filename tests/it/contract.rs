@@ -268,7 +268,9 @@ fn revisions_guard_changes_and_spare_reads() {
     client.post(&particles, "{}").expect(201);
     let etag = client.get(&path).header("etag").expect("a tag").to_owned();
     assert_eq!(etag, "\"1\"");
-    for read in [path.clone(), particles.clone(), format!("{particles}/0"), format!("{path}/state")] {
+    for read in
+        [path.clone(), particles.clone(), format!("{particles}/0"), format!("{path}/state"), format!("{path}/digest")]
+    {
         assert_eq!(client.get(&read).header("etag"), Some("\"1\""), "{read}");
         for tags in ["\"1\"", "W/\"1\"", "*", "\"7\", \"1\""] {
             let unchanged = client.send("GET", &read, &[("if-none-match", tags)], None).expect(304);

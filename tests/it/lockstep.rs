@@ -342,6 +342,8 @@ impl<R: Number> Lockstep<R> {
         let read: ReadParticles<R> = self.client.get(&format!("{}/particles", self.path)).expect(200).typed();
         prop_assert_eq!(read.time.to_bits(), self.world.time().to_bits(), "time after {}", context);
         prop_assert_eq!(read.particles.len(), self.world.particle_count(), "count after {}", context);
+        let digest = self.client.get(&format!("{}/digest", self.path)).expect(200).json();
+        prop_assert_eq!(&digest["digest"], &json!(self.world.digest().to_string()), "digest after {}", context);
         let bits = |v: [R; 3]| v.map(Number::bits);
         for (served, state) in read.particles.iter().zip(self.world.particles()) {
             prop_assert_eq!(served.id, state.id.0, "id after {}", context);

@@ -53,6 +53,7 @@ fn every_route_of_the_contract_is_described() {
         "PATCH /v1/worlds/{world}",
         "DELETE /v1/worlds/{world}",
         "POST /v1/worlds/{world}/advance",
+        "GET /v1/worlds/{world}/digest",
         "POST /v1/worlds/{world}/forces",
         "GET /v1/worlds/{world}/particles",
         "POST /v1/worlds/{world}/particles",

@@ -163,6 +163,7 @@ const ROWS: &[Row] = &[
     ("PUT", "/v1/worlds/third", "", 422, "limit_reached", None),
     // Query parameters.
     ("GET", "@?x=1", "", 422, "invalid_parameter", None),
+    ("GET", "@/digest?x=1", "", 422, "invalid_parameter", None),
     ("GET", "/v1?x=1", "", 422, "invalid_parameter", None),
     ("GET", "/healthz?x=1", "", 422, "invalid_parameter", None),
     ("GET", "/metrics?x=1", "", 422, "invalid_parameter", None),

@@ -27,12 +27,10 @@ use crate::server::wire::Description;
 use crate::world::World;
 
 pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
-    OpenApiRouter::new().routes(routes!(list_worlds, create_named_by_service)).routes(routes!(
-        describe_world,
-        create_world,
-        configure_world,
-        delete_world
-    ))
+    OpenApiRouter::new()
+        .routes(routes!(list_worlds, create_named_by_service))
+        .routes(routes!(describe_world, create_world, configure_world, delete_world))
+        .routes(routes!(digest_world))
 }
 
 /// Settings of a world; every field is optional.
@@ -105,6 +103,22 @@ struct Worlds {
 enum AnyDescription {
     Single(Description<f32>),
     Double(Description<f64>),
+}
+
+/// A digest of everything that determines the future of a world, and when it was taken.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = Digest, example = json!({
+    "digest": "8b6ba0a0dc4d2e77a0f0f1a5a2a2ed6f5d3c6ab2cf0c8cbe6ed7a37b14ebf8a8",
+    "time": 0.5, "step_count": 1, "revision": 7
+}))]
+struct DigestBody {
+    /// 64 hexadecimal digits.
+    digest: String,
+    /// The clock in seconds.
+    time: f64,
+    /// Steps of all advances so far.
+    step_count: u64,
+    revision: u64,
 }
 
 #[derive(Debug, Deserialize)]
@@ -239,6 +253,26 @@ async fn describe_world(State(app): State<Arc<App>>, read: Read) -> Result<Respo
     with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query, |_, _| 0, move |world, _| {
         Ok(json::write(&Description::new(&name, world)))
     }).await)
+}
+
+/// Digests a world
+///
+/// Two worlds have the same digest if and only if everything that determines their future is equal: the same commands
+/// then give the same bits in both. Revision and step count are not part of it.
+#[utoipa::path(get, path = "/v1/worlds/{world}/digest", tag = "worlds",
+    responses((status = 200, body = DigestBody, headers(("etag" = String)))))]
+async fn digest_world(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
+    let any = app.slot(&read.target)?;
+    let query = read.query::<NoParameters>();
+    // A particle takes 0.15 µs, and 0.8 where the CPU has no instructions for SHA.
+    with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query,
+        |world, _| 64 * world.particle_count() as u64,
+        |world, _| Ok(json::write(&DigestBody {
+            digest: world.digest().to_string(),
+            time: world.time(),
+            step_count: world.step_count(),
+            revision: world.revision(),
+        }))).await)
 }
 
 /// Changes settings of a world
