@@ -13,6 +13,10 @@ mod concurrency;
 mod connections;
 /// What each route answers when all is well.
 mod contract;
+/// The digest of a world: equal if and only if its future is.
+mod digest;
+/// Pinned digests of seeded scenes: the same bits on every machine, and from one version to the next.
+mod golden;
 /// The service against the library, to the bit.
 mod lockstep;
 /// The book's integrators against a transcription of their equations.

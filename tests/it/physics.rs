@@ -24,7 +24,7 @@ impl Random {
         x ^ (x >> 31)
     }
 
-    fn below(&mut self, n: usize) -> usize {
+    pub(crate) fn below(&mut self, n: usize) -> usize {
         usize::try_from(self.next() % n as u64).expect("less than n")
     }
 
@@ -37,7 +37,7 @@ impl Random {
         list[self.below(list.len())]
     }
 
-    fn vector<R: Real>(&mut self, scale: f64) -> [R; 3] {
+    pub(crate) fn vector<R: Real>(&mut self, scale: f64) -> [R; 3] {
         std::array::from_fn(|_| R::nearest((self.unit() * 2.0 - 1.0) * scale))
     }
 
@@ -47,7 +47,7 @@ impl Random {
         list
     }
 
-    fn particle<R: Real>(&mut self) -> Particle<R> {
+    pub(crate) fn particle<R: Real>(&mut self) -> Particle<R> {
         Particle {
             position: self.vector(100.0).into(),
             velocity: self.vector(30.0).into(),
@@ -67,7 +67,7 @@ impl Random {
     }
 
     /// Any command that changes particles, about those of `ids`; a removal takes the id out of the list.
-    fn command<R: Real>(&mut self, ids: &mut Vec<ParticleId>) -> Command<R> {
+    pub(crate) fn command<R: Real>(&mut self, ids: &mut Vec<ParticleId>) -> Command<R> {
         let some: Vec<ParticleId> = ids.iter().copied().filter(|_| self.below(3) == 0).collect();
         let (n, ids_of) = (some.len(), Selection::Ids(some));
         match self.below(6) {
