@@ -96,17 +96,41 @@ impl<T: Copy + PartialEq> Column<T> {
         }
         let Self::PerParticle(values) = self else { unreachable!("promoted above") };
         match other {
-            Self::Uniform(new) => values.resize(len + count, *new),
-            Self::PerParticle(new) => values.extend_from_slice(&new[..count]),
+            Self::Uniform(new) => {
+                make_room(values, count);
+                values.resize(len + count, *new);
+            }
+            Self::PerParticle(new) => {
+                make_room(values, count);
+                values.extend_from_slice(&new[..count]);
+            }
         }
     }
 
     /// Removes one value; the last one takes its place.
     pub(crate) fn swap_remove(&mut self, index: usize) {
         if let Self::PerParticle(values) = self {
-            values.swap_remove(index);
+            swap_remove(values, index);
         }
     }
+}
+
+/// Room for `more` values, growing by a sixteenth and not by doubling: a world is as large as its particles, and moving
+/// a value sixteen times costs less than what creates it.
+pub(crate) fn make_room<T>(values: &mut Vec<T>, more: usize) {
+    if values.capacity() - values.len() < more {
+        values.reserve_exact(more.max(values.len() / 16).max(4));
+    }
+}
+
+/// Removes one value, whose place the last one takes; gives room back when a fifth is not used.
+pub(crate) fn swap_remove<T>(values: &mut Vec<T>, index: usize) -> T {
+    let removed = values.swap_remove(index);
+    let len = values.len();
+    if len + len / 4 + 64 < values.capacity() {
+        values.shrink_to(len + len / 16);
+    }
+    removed
 }
 
 #[cfg(test)]

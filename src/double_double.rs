@@ -3,24 +3,52 @@
 //! Source: T. J. Dekker, "A floating-point technique for extending the available precision", Numerische Mathematik 18
 //! (1971). Products are split, not fused: a fused multiply-add is slow where the CPU has none, and the bits are the same.
 
+#![expect(clippy::inline_always, reason = "a call that is not inlined leaves the instruction set of its caller")]
+
 use std::ops::{Add, Div, Mul, Neg, Sub};
+
+/// A double, or a register of them.
+pub(crate) trait Lane:
+    Copy
+    + Add<Output = Self>
+    + Add<f64, Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Mul<f64, Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+{
+}
+
+impl<T> Lane for T where
+    T: Copy
+        + Add<Output = T>
+        + Add<f64, Output = T>
+        + Sub<Output = T>
+        + Mul<Output = T>
+        + Mul<f64, Output = T>
+        + Div<Output = T>
+        + Neg<Output = T>
+{
+}
 
 /// `hi + lo` with `hi` the double nearest to the sum.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) struct DoubleDouble {
-    pub(crate) hi: f64,
-    pub(crate) lo: f64,
+pub(crate) struct DoubleDouble<T = f64> {
+    pub(crate) hi: T,
+    pub(crate) lo: T,
 }
 
 impl DoubleDouble {
-    pub(crate) const ONE: Self = Self { hi: 1.0, lo: 0.0 };
-
     pub(crate) const fn new(hi: f64, lo: f64) -> Self {
         Self { hi, lo }
     }
+}
 
+impl<T: Lane> DoubleDouble<T> {
     /// `a + b` without error.
-    pub(crate) fn sum(a: f64, b: f64) -> Self {
+    #[inline(always)]
+    pub(crate) fn sum(a: T, b: T) -> Self {
         let hi = a + b;
         let b_rounded = hi - a;
         let lo = (a - (hi - b_rounded)) + (b - b_rounded);
@@ -28,13 +56,15 @@ impl DoubleDouble {
     }
 
     /// `a + b` without error, for `|a| >= |b|` or `a == 0`.
-    fn ordered_sum(a: f64, b: f64) -> Self {
+    #[inline(always)]
+    fn ordered_sum(a: T, b: T) -> Self {
         let hi = a + b;
         Self { hi, lo: b - (hi - a) }
     }
 
     /// `a * b` without error, for factors below 2⁹⁹⁶ and a product that is not subnormal.
-    pub(crate) fn product(a: f64, b: f64) -> Self {
+    #[inline(always)]
+    pub(crate) fn product(a: T, b: T) -> Self {
         let hi = a * b;
         let (a_hi, a_lo) = split(a);
         let (b_hi, b_lo) = split(b);
@@ -43,15 +73,17 @@ impl DoubleDouble {
     }
 
     /// Both words times a power of two.
-    pub(crate) fn scaled(self, power: f64) -> Self {
+    #[inline(always)]
+    pub(crate) fn scaled(self, power: T) -> Self {
         Self { hi: self.hi * power, lo: self.lo * power }
     }
 }
 
 /// The upper 26 and the lower 26 bits of `a` (Veltkamp).
-fn split(a: f64) -> (f64, f64) {
+#[inline(always)]
+fn split<T: Lane>(a: T) -> (T, T) {
     const SPLITTER: f64 = 134_217_729.0;
-    let scaled = SPLITTER * a;
+    let scaled = a * SPLITTER;
     let hi = scaled - (scaled - a);
     (hi, a - hi)
 }
@@ -62,15 +94,17 @@ impl From<f64> for DoubleDouble {
     }
 }
 
-impl Neg for DoubleDouble {
+impl<T: Lane> Neg for DoubleDouble<T> {
     type Output = Self;
+    #[inline(always)]
     fn neg(self) -> Self {
         Self { hi: -self.hi, lo: -self.lo }
     }
 }
 
-impl Add for DoubleDouble {
+impl<T: Lane> Add for DoubleDouble<T> {
     type Output = Self;
+    #[inline(always)]
     fn add(self, other: Self) -> Self {
         let high = Self::sum(self.hi, other.hi);
         let low = Self::sum(self.lo, other.lo);
@@ -79,30 +113,42 @@ impl Add for DoubleDouble {
     }
 }
 
-impl Sub for DoubleDouble {
+impl<T: Lane> Sub for DoubleDouble<T> {
     type Output = Self;
+    #[inline(always)]
     fn sub(self, other: Self) -> Self {
         self + -other
     }
 }
 
-impl Mul for DoubleDouble {
+impl<T: Lane> Mul for DoubleDouble<T> {
     type Output = Self;
+    #[inline(always)]
     fn mul(self, other: Self) -> Self {
         let product = Self::product(self.hi, other.hi);
         Self::ordered_sum(product.hi, product.lo + (self.hi * other.lo + self.lo * other.hi))
     }
 }
 
-impl Div for DoubleDouble {
+impl<T: Lane> Div for DoubleDouble<T> {
     type Output = Self;
+    #[inline(always)]
     fn div(self, other: Self) -> Self {
         let first = self.hi / other.hi;
-        let remainder = self - other * Self::from(first);
+        let remainder = self - other * first;
         let second = remainder.hi / other.hi;
-        let remainder = remainder - other * Self::from(second);
+        let remainder = remainder - other * second;
         let quotient = Self::ordered_sum(first, second);
-        quotient + Self::from(remainder.hi / other.hi)
+        Self::ordered_sum(quotient.hi, quotient.lo + remainder.hi / other.hi)
+    }
+}
+
+impl<T: Lane> Mul<T> for DoubleDouble<T> {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(self, other: T) -> Self {
+        let product = Self::product(self.hi, other);
+        Self::ordered_sum(product.hi, product.lo + self.lo * other)
     }
 }
 

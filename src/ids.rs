@@ -1,6 +1,9 @@
 //! Which row of the columns each particle lives in.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
+
+use crate::column;
 
 /// The name of a particle in its world: 0, 1, 2, … in the order of creation, never used again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -23,7 +26,7 @@ pub(crate) struct Ids {
 #[derive(Debug, Clone)]
 struct Table {
     id_of: Vec<u64>,
-    /// Rows by `id / PAGE`: four bytes for an id, and ids in order, where a map of ids would take forty.
+    /// Rows by `id / PAGE`: five to six bytes for an id, and ids in order, where a map of ids would take forty.
     pages: BTreeMap<u64, Page>,
 }
 
@@ -33,8 +36,9 @@ struct Page {
     rows: Box<[u32; PAGE_ROWS]>,
 }
 
-const PAGE: u64 = 256;
-const PAGE_ROWS: usize = 256;
+/// Few enough that a page with a single particle left is no burden, many enough that a full one costs five bytes each.
+const PAGE: u64 = 32;
+const PAGE_ROWS: usize = 32;
 const NO_ROW: u32 = u32::MAX;
 
 impl Ids {
@@ -61,6 +65,13 @@ impl Ids {
 
     pub(crate) fn id(&self, row: usize) -> ParticleId {
         ParticleId(self.table.as_ref().map_or(row as u64, |table| table.id_of[row]))
+    }
+
+    /// The rows of up to `limit` ids from the first one on, where ids are rows; `None` once that is over.
+    pub(crate) fn rows_from(&self, first: ParticleId, limit: usize) -> Option<Range<usize>> {
+        let clamped = |id: u64| usize::try_from(id.min(self.next)).expect("every id is a row that is held in memory");
+        let first = clamped(first.0);
+        self.table.is_none().then(|| first..clamped((first as u64).saturating_add(limit as u64)))
     }
 
     /// Ids and rows in ascending order of id, from the first id that is at least `from`.
@@ -98,7 +109,7 @@ impl Ids {
             (0..len as u64).for_each(|id| table.push(id));
             table
         });
-        table.id_of.swap_remove(row);
+        column::swap_remove(&mut table.id_of, row);
         if let Some(&moved) = table.id_of.get(row) {
             table.set_row(moved, u32::try_from(row).expect("rows are counted in 32 bits"));
         }
@@ -119,6 +130,7 @@ impl Table {
 
     fn push(&mut self, id: u64) {
         let row = u32::try_from(self.id_of.len()).expect("the world checked the number of rows");
+        column::make_room(&mut self.id_of, 1);
         self.id_of.push(id);
         self.set_row(id, row);
     }

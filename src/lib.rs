@@ -27,11 +27,13 @@
 //! exact one. Columns, ids and the double-double clock have a file each. Everything under `server` speaks HTTP; nothing
 //! else does. ARCHITECTURE.md says why.
 
+mod base_times;
 mod closed_form;
 mod column;
 mod command;
 mod double_double;
 mod error;
+mod forces;
 mod ids;
 mod integrator;
 mod kernel;
@@ -41,6 +43,7 @@ mod real;
 mod registry;
 #[cfg(feature = "server")]
 pub mod server;
+mod threads;
 mod world;
 
 pub use column::Column;
@@ -52,9 +55,10 @@ pub use glam::{DVec3, Vec3};
 pub use ids::ParticleId;
 pub use integrator::{DampingLaw, Integrator};
 pub use real::{Precision, Real};
+pub use threads::Threads;
 #[cfg(feature = "digest")]
 pub use world::Digest;
-pub use world::{ParticleState, StepPlan, World};
+pub use world::{ParticleState, States, StepPlan, World};
 
 /// The Rust of README.md, run as a documentation test.
 #[cfg(doctest)]

@@ -26,7 +26,7 @@ fn run(config: Config) -> Result<(), String> {
     log_to_standard_error(&config)?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(config.workers)
-        .max_blocking_threads(config.pool_threads())
+        .max_blocking_threads(config.blocking_threads())
         .enable_all()
         .build()
         .map_err(|error| format!("cannot start threads: {error}"))?;

@@ -2,8 +2,10 @@
 
 use std::ops::Range;
 
-use crate::column::Column;
+use crate::base_times::BaseTimes;
+use crate::column::{self, Column};
 use crate::double_double::DoubleDouble;
+use crate::forces::Forces;
 use crate::real::Real;
 
 /// The properties of all particles. Invariant: position, velocity and every per-particle column have `len` values.
@@ -17,11 +19,14 @@ pub(crate) struct Particles<R: Real> {
     pub(crate) has_own_acceleration: Column<bool>,
     pub(crate) damping: Column<R>,
     pub(crate) inverse_mass: Column<R>,
-    /// How many inverse masses are 0: where there is none, nobody looks for particles at rest.
+    /// How many inverse masses are 0: where there is none, all follow the gravity that have no acceleration of their own.
     pub(crate) immovable_count: usize,
-    pub(crate) force: Column<[R; 3]>,
+    pub(crate) force: Forces<R>,
     /// The clock at which position and velocity hold. Under a stepped integrator it is always the clock of the world.
-    pub(crate) base_time: Column<DoubleDouble>,
+    pub(crate) base_time: BaseTimes,
+    /// Immovable, without velocity and acceleration: nothing can change such a particle but a command that names it.
+    resting: Column<bool>,
+    resting_count: usize,
 }
 
 /// What drives some rows.
@@ -32,6 +37,15 @@ pub(crate) enum Driving<'a, R> {
     Column(&'a [[R; 3]]),
     /// It has to be computed for each.
     Each,
+}
+
+/// Particles to add; every column is uniform or has one value for each.
+pub(crate) struct New<R: Real> {
+    pub(crate) position: Column<[R; 3]>,
+    pub(crate) velocity: Column<[R; 3]>,
+    pub(crate) acceleration: Column<Option<[R; 3]>>,
+    pub(crate) damping: Column<R>,
+    pub(crate) inverse_mass: Column<R>,
 }
 
 pub(crate) const fn zero<R: Real>() -> [R; 3] {
@@ -48,8 +62,10 @@ impl<R: Real> Particles<R> {
             damping: Column::Uniform(R::ONE),
             inverse_mass: Column::Uniform(R::ONE),
             immovable_count: 0,
-            force: Column::Uniform(zero()),
-            base_time: Column::Uniform(DoubleDouble::default()),
+            force: Forces::new(),
+            base_time: BaseTimes::default(),
+            resting: Column::Uniform(false),
+            resting_count: 0,
         }
     }
 
@@ -68,40 +84,100 @@ impl<R: Real> Particles<R> {
         self.has_own_acceleration.get(row).then(|| self.own_acceleration.get(row))
     }
 
-    /// Immovable, without velocity and acceleration: nothing can change it.
+    /// Whether nothing can change it.
     pub(crate) fn is_resting(&self, row: usize) -> bool {
-        self.nothing_moves(row) && self.velocity[row] == zero()
+        self.resting.get(row)
     }
 
-    /// Immovable and without acceleration: only its own velocity moves it.
-    pub(crate) fn nothing_moves(&self, row: usize) -> bool {
-        self.inverse_mass.get(row) == R::ZERO && self.own_acceleration.get(row) == zero()
+    pub(crate) fn resting_count(&self) -> usize {
+        self.resting_count
+    }
+
+    /// Finds out anew whether a row rests, after its velocity, acceleration or mass was written.
+    pub(crate) fn note_rest(&mut self, row: usize) {
+        let rests = self.inverse_mass.get(row) == R::ZERO
+            && self.velocity[row] == zero()
+            && self.own_acceleration.get(row) == zero();
+        self.resting_count = self.resting_count - usize::from(self.resting.get(row)) + usize::from(rests);
+        self.resting.set(row, rests, self.position.len());
+        if self.resting_count == 0 {
+            self.resting = Column::Uniform(false);
+        }
+    }
+
+    /// The same after steps, in which immovable particles may have come to rest.
+    pub(crate) fn note_rest_after_steps(&mut self) {
+        if self.resting_count < self.immovable_count {
+            for row in 0..self.len() {
+                if self.inverse_mass.get(row) == R::ZERO {
+                    self.note_rest(row);
+                }
+            }
+        }
+    }
+
+    /// Appends `count` particles.
+    pub(crate) fn extend(&mut self, new: &New<R>, count: usize, clock: DoubleDouble) {
+        let len = self.len();
+        extend_vectors(&mut self.position, &new.position, count);
+        extend_vectors(&mut self.velocity, &new.velocity, count);
+        self.own_acceleration.extend(len, &new.acceleration.map(Option::unwrap_or_default), count);
+        self.has_own_acceleration.extend(len, &new.acceleration.map(|own| own.is_some()).collapsed(), count);
+        self.damping.extend(len, &new.damping, count);
+        self.inverse_mass.extend(len, &new.inverse_mass, count);
+        self.force.extend(len, count);
+        self.base_time.extend(len, clock, count);
+        self.resting.extend(len, &Column::Uniform(false), count);
+        let immovable = |i: &usize| new.inverse_mass.get(*i) == R::ZERO;
+        for i in (0..count).filter(immovable) {
+            self.immovable_count += 1;
+            self.note_rest(len + i);
+        }
+    }
+
+    /// The acceleration without the share of the force, where it is the same for all.
+    pub(crate) fn uniform_acceleration(&self, gravity: [R; 3]) -> Option<[R; 3]> {
+        match (&self.has_own_acceleration, &self.own_acceleration) {
+            (Column::Uniform(true), Column::Uniform(own)) => Some(*own),
+            (Column::Uniform(false), _) if gravity == zero() || self.immovable_count == 0 => Some(gravity),
+            (Column::Uniform(false), _) if self.immovable_count == self.len() => Some(zero()),
+            (Column::Uniform(_) | Column::PerParticle(_), _) => None,
+        }
     }
 
     /// The acceleration of some rows, with the share of the force, as far as it can be told without computing it.
     pub(crate) fn driving_acceleration(&self, gravity: [R; 3], rows: Range<usize>) -> Driving<'_, R> {
-        if self.force != Column::Uniform(zero()) {
+        if !self.force.none() {
             return Driving::Each;
         }
-        match (&self.has_own_acceleration, &self.own_acceleration) {
-            (Column::Uniform(true), Column::Uniform(own)) => Driving::Uniform(*own),
-            (Column::Uniform(true), Column::PerParticle(own)) => Driving::Column(&own[rows]),
-            (Column::Uniform(false), _) if gravity == zero() => Driving::Uniform(gravity),
-            (Column::Uniform(false), _) => match &self.inverse_mass {
-                _ if self.immovable_count == 0 => Driving::Uniform(gravity),
-                Column::Uniform(_) => Driving::Uniform(zero()),
-                Column::PerParticle(_) => Driving::Each,
-            },
-            (Column::PerParticle(_), _) => Driving::Each,
+        match (self.uniform_acceleration(gravity), &self.has_own_acceleration, &self.own_acceleration) {
+            (Some(uniform), _, _) => Driving::Uniform(uniform),
+            (None, Column::Uniform(true), Column::PerParticle(own)) => Driving::Column(&own[rows]),
+            (None, Column::Uniform(_) | Column::PerParticle(_), _) => Driving::Each,
         }
     }
 
     /// Computes the acceleration of some rows, with the share of the force.
     pub(crate) fn fill_acceleration(&self, gravity: [R; 3], rows: Range<usize>, into: &mut [[R; 3]]) {
-        for (row, a) in rows.zip(into) {
-            let own = self.acceleration(row, gravity);
-            let (w, f) = (self.inverse_mass.get(row), self.force.get(row));
-            *a = std::array::from_fn(|k| own[k] + f[k] * w);
+        match (&self.has_own_acceleration, &self.own_acceleration) {
+            (Column::Uniform(true), Column::PerParticle(own)) => into.copy_from_slice(&own[rows.clone()]),
+            (Column::Uniform(true), Column::Uniform(own)) => into.fill(*own),
+            (Column::Uniform(false), _) if self.immovable_count == 0 => into.fill(gravity),
+            (Column::Uniform(false) | Column::PerParticle(_), _) => {
+                rows.clone().zip(&mut *into).for_each(|(row, a)| *a = self.acceleration(row, gravity));
+            }
+        }
+        let add = |a: &mut [R; 3], f: [R; 3], w: R| *a = std::array::from_fn(|k| a[k] + f[k] * w);
+        match (self.force.column(), &self.inverse_mass) {
+            (Column::Uniform(f), _) if *f == zero() => {}
+            (Column::PerParticle(f), Column::PerParticle(w)) => {
+                let forces = f[rows.clone()].iter().zip(&w[rows]);
+                into.iter_mut().zip(forces).for_each(|(a, (f, w))| add(a, *f, *w));
+            }
+            (Column::PerParticle(f), Column::Uniform(w)) => {
+                into.iter_mut().zip(&f[rows]).for_each(|(a, f)| add(a, *f, *w));
+            }
+            (Column::Uniform(f), w) => into.iter_mut().zip(rows).for_each(|(a, row)| add(a, *f, w.get(row))),
         }
     }
 
@@ -121,13 +197,23 @@ impl<R: Real> Particles<R> {
 
     pub(crate) fn swap_remove(&mut self, row: usize) {
         self.immovable_count -= usize::from(self.inverse_mass.get(row) == R::ZERO);
-        self.position.swap_remove(row);
-        self.velocity.swap_remove(row);
+        self.resting_count -= usize::from(self.resting.get(row));
+        column::swap_remove(&mut self.position, row);
+        column::swap_remove(&mut self.velocity, row);
         self.own_acceleration.swap_remove(row);
         self.has_own_acceleration.swap_remove(row);
         self.damping.swap_remove(row);
         self.inverse_mass.swap_remove(row);
         self.force.swap_remove(row);
         self.base_time.swap_remove(row);
+        self.resting.swap_remove(row);
+    }
+}
+
+fn extend_vectors<R: Real>(vectors: &mut Vec<[R; 3]>, new: &Column<[R; 3]>, count: usize) {
+    column::make_room(vectors, count);
+    match new {
+        Column::Uniform(vector) => vectors.resize(vectors.len() + count, *vector),
+        Column::PerParticle(new) => vectors.extend_from_slice(&new[..count]),
     }
 }

@@ -1,5 +1,7 @@
 //! The two precisions a world can have.
 
+#![expect(clippy::inline_always, reason = "a call that is not inlined leaves the instruction set of its caller")]
+
 use std::fmt::{Debug, Display};
 use std::ops::{Add, Mul, Sub};
 
@@ -36,17 +38,40 @@ impl Display for Precision {
 }
 
 mod sealed {
-    use fearless_simd::{Simd, SimdFloat, SimdFloatElement};
+    use fearless_simd::{Simd, SimdBase, SimdFloat, SimdFloatElement, SimdNarrow, SimdWiden};
 
     pub trait Sealed: Sized + SimdFloatElement {
         /// A vector register of these.
         type Lanes<S: Simd>: SimdFloat<S, Element = Self>;
+        /// Two registers of doubles, from as many of these.
+        fn load<S: Simd>(simd: S, from: &[Self]) -> (S::f64s, S::f64s);
+        /// The same back, each rounded to the nearest.
+        fn store<S: Simd>(values: (S::f64s, S::f64s), to: &mut [Self]);
     }
     impl Sealed for f32 {
         type Lanes<S: Simd> = S::f32s;
+        #[inline(always)]
+        fn load<S: Simd>(simd: S, from: &[Self]) -> (S::f64s, S::f64s) {
+            S::f32s::from_slice(simd, from).widen()
+        }
+        #[inline(always)]
+        fn store<S: Simd>((low, high): (S::f64s, S::f64s), to: &mut [Self]) {
+            low.narrow(high).store_slice(to);
+        }
     }
     impl Sealed for f64 {
         type Lanes<S: Simd> = S::f64s;
+        #[inline(always)]
+        fn load<S: Simd>(simd: S, from: &[Self]) -> (S::f64s, S::f64s) {
+            let (low, high) = from.split_at(S::f64s::LEN);
+            (S::f64s::from_slice(simd, low), S::f64s::from_slice(simd, high))
+        }
+        #[inline(always)]
+        fn store<S: Simd>((low, high): (S::f64s, S::f64s), to: &mut [Self]) {
+            let (to_low, to_high) = to.split_at_mut(S::f64s::LEN);
+            low.store_slice(to_low);
+            high.store_slice(to_high);
+        }
     }
 }
 
@@ -82,6 +107,8 @@ pub trait Real:
     const LARGEST: f64;
     /// A damped velocity component of a smaller magnitude comes to rest: 2⁻¹⁰⁰ (single) or 2⁻⁹⁶⁰ (double) m/s.
     const REST: Self;
+    /// Doubles of a smaller magnitude, and no others, are below that when rounded to this type.
+    const REST_UNROUNDED: f64;
 
     /// The nearest number of this type; beyond the largest, infinity.
     fn nearest(x: f64) -> Self;
@@ -90,9 +117,9 @@ pub trait Real:
     /// The magnitude.
     #[must_use]
     fn abs(self) -> Self;
-    /// A zero with the sign of `self`.
+    /// `self`, or a zero of its sign where it is smaller than a magnitude.
     #[must_use]
-    fn signed_zero(self) -> Self;
+    fn at_rest_below(self, magnitude: Self) -> Self;
 }
 
 impl Real for f32 {
@@ -103,8 +130,11 @@ impl Real for f32 {
     const ONE: Self = 1.0;
     const LARGEST: f64 = f32::MAX as f64;
     const REST: Self = f32::from_bits((127 - 100) << 23);
+    // 2⁻¹⁰⁰ less half the distance to the single before it.
+    const REST_UNROUNDED: f64 = f64::from_bits((1023 - 100) << 52) - f64::from_bits((1023 - 125) << 52);
 
     #[expect(clippy::cast_possible_truncation, reason = "rounding to single is what it is for")]
+    #[inline]
     fn nearest(x: f64) -> Self {
         x as f32
     }
@@ -114,8 +144,9 @@ impl Real for f32 {
     fn abs(self) -> Self {
         self.abs()
     }
-    fn signed_zero(self) -> Self {
-        Self::copysign(0.0, self)
+    #[inline]
+    fn at_rest_below(self, magnitude: Self) -> Self {
+        if self.abs() < magnitude { Self::copysign(0.0, self) } else { self }
     }
 }
 
@@ -127,7 +158,9 @@ impl Real for f64 {
     const ONE: Self = 1.0;
     const LARGEST: f64 = f64::MAX;
     const REST: Self = f64::from_bits((1023 - 960) << 52);
+    const REST_UNROUNDED: f64 = Self::REST;
 
+    #[inline]
     fn nearest(x: f64) -> Self {
         x
     }
@@ -137,7 +170,8 @@ impl Real for f64 {
     fn abs(self) -> Self {
         self.abs()
     }
-    fn signed_zero(self) -> Self {
-        Self::copysign(0.0, self)
+    #[inline]
+    fn at_rest_below(self, magnitude: Self) -> Self {
+        if self.abs() < magnitude { Self::copysign(0.0, self) } else { self }
     }
 }

@@ -9,14 +9,13 @@
 
 #![expect(clippy::inline_always, reason = "a call that is not inlined leaves the instruction set of its caller")]
 #![expect(clippy::too_many_arguments, reason = "a hot loop gets plain arguments")]
-#![expect(clippy::needless_range_loop, reason = "registers of several arrays go together")]
 
 #[cfg(test)]
 mod tests;
 
 use std::ops::{Add, Mul};
 
-use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, dispatch};
+use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
 
 use crate::error::Quantity;
 use crate::integrator::Integrator;
@@ -33,9 +32,17 @@ pub(crate) struct Step<R> {
 /// What moves the particles of a block, constant through the advance.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Drive<'a, R> {
-    /// A, with the share of the force, for each component of each particle.
-    pub(crate) acceleration: &'a [R],
+    pub(crate) acceleration: Acceleration<'a, R>,
     pub(crate) damping: Damping<'a, R>,
+}
+
+/// A, with the share of the force.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Acceleration<'a, R> {
+    /// The same for all.
+    Uniform([R; 3]),
+    /// One for each component of each particle.
+    Each(&'a [R]),
 }
 
 /// D, the damping over one step.
@@ -57,11 +64,11 @@ pub(crate) const STEPS_BETWEEN_RESTS: u64 = 64;
 
 /// Takes `steps` steps with all components of a block.
 pub(crate) fn advance<R: Real>(level: Level, step: Step<R>, drive: Drive<'_, R>, steps: u64, p: &mut [R], v: &mut [R]) {
-    assert!(p.len() == v.len() && p.len() == drive.acceleration.len());
+    assert!(p.len() == v.len());
     match step.integrator {
-        Integrator::NewtonEuler => with_damping::<R, NewtonEuler>(level, step.h, drive, steps, p, v),
-        Integrator::NewtonEulerQuadratic => with_damping::<R, Quadratic>(level, step.h, drive, steps, p, v),
-        Integrator::SemiImplicitEuler => with_damping::<R, SemiImplicit>(level, step.h, drive, steps, p, v),
+        Integrator::NewtonEuler => with_acceleration::<R, NewtonEuler>(level, step.h, drive, steps, p, v),
+        Integrator::NewtonEulerQuadratic => with_acceleration::<R, Quadratic>(level, step.h, drive, steps, p, v),
+        Integrator::SemiImplicitEuler => with_acceleration::<R, SemiImplicit>(level, step.h, drive, steps, p, v),
         Integrator::Exact => unreachable!("the closed form has no steps"),
     }
 }
@@ -87,11 +94,6 @@ pub(crate) fn non_finite<R: Real>(p: &[R], v: &[R]) -> Option<Quantity> {
     } else {
         None
     }
-}
-
-/// A velocity component too small to matter is a zero of its own sign.
-pub(crate) fn at_rest_below<R: Real>(v: R, threshold: R) -> R {
-    if v.abs() < threshold { v.signed_zero() } else { v }
 }
 
 /// The position update of an integrator, on one number or on a register of them.
@@ -127,9 +129,16 @@ impl Scheme for SemiImplicit {
 
 /// One value for each component of a block, as a number or as a register of them.
 trait Source<R: Real>: Copy {
+    /// What stays in registers through the whole block.
+    type Held<S: Simd>: Copy;
+    fn hold<S: Simd>(&self, simd: S) -> Self::Held<S>;
+    /// The `k`th register of the group that begins at the component `at`, a multiple of three registers.
+    fn register<S: Simd>(&self, simd: S, held: &Self::Held<S>, at: usize, k: usize) -> R::Lanes<S>;
     fn one(&self, index: usize) -> R;
-    fn register<S: Simd>(&self, simd: S, index: usize) -> R::Lanes<S>;
 }
+
+/// What stays in registers of acceleration, D and rest.
+type Held<R, S, A, F, T> = (<A as Source<R>>::Held<S>, <F as Source<R>>::Held<S>, <T as Source<R>>::Held<S>);
 
 /// D of a block, and below which magnitude velocities come to rest; without `DAMPS` neither is looked at.
 #[derive(Clone, Copy)]
@@ -141,98 +150,154 @@ struct Damper<F, T, const DAMPS: bool> {
 /// The same for all components.
 #[derive(Clone, Copy)]
 struct Same<R>(R);
+/// The same for all particles.
+#[derive(Clone, Copy)]
+struct Vector<R>([R; 3]);
 /// One value for each component.
 #[derive(Clone, Copy)]
 struct Each<'a, R>(&'a [R]);
 
 impl<R: Real> Source<R> for Same<R> {
+    type Held<S: Simd> = R::Lanes<S>;
+    #[inline(always)]
+    fn hold<S: Simd>(&self, simd: S) -> Self::Held<S> {
+        R::Lanes::<S>::splat(simd, self.0)
+    }
+    #[inline(always)]
+    fn register<S: Simd>(&self, _: S, held: &Self::Held<S>, _: usize, _: usize) -> R::Lanes<S> {
+        *held
+    }
     #[inline(always)]
     fn one(&self, _: usize) -> R {
         self.0
     }
+}
+
+impl<R: Real> Source<R> for Vector<R> {
+    /// x, y and z fill three registers before they begin anew.
+    type Held<S: Simd> = [R::Lanes<S>; 3];
     #[inline(always)]
-    fn register<S: Simd>(&self, simd: S, _: usize) -> R::Lanes<S> {
-        R::Lanes::<S>::splat(simd, self.0)
+    fn hold<S: Simd>(&self, simd: S) -> Self::Held<S> {
+        let lanes = R::Lanes::<S>::LEN;
+        std::array::from_fn(|k| R::Lanes::<S>::from_fn(simd, |lane| self.0[(k * lanes + lane) % 3]))
+    }
+    #[inline(always)]
+    fn register<S: Simd>(&self, _: S, held: &Self::Held<S>, _: usize, k: usize) -> R::Lanes<S> {
+        held[k % 3]
+    }
+    #[inline(always)]
+    fn one(&self, index: usize) -> R {
+        self.0[index % 3]
     }
 }
 
 impl<R: Real> Source<R> for Each<'_, R> {
+    type Held<S: Simd> = ();
+    #[inline(always)]
+    fn hold<S: Simd>(&self, _: S) -> Self::Held<S> {}
+    #[inline(always)]
+    fn register<S: Simd>(&self, simd: S, (): &Self::Held<S>, at: usize, k: usize) -> R::Lanes<S> {
+        let lanes = R::Lanes::<S>::LEN;
+        R::Lanes::<S>::from_slice(simd, &self.0[at + k * lanes..at + (k + 1) * lanes])
+    }
     #[inline(always)]
     fn one(&self, index: usize) -> R {
         self.0[index]
     }
-    #[inline(always)]
-    fn register<S: Simd>(&self, simd: S, index: usize) -> R::Lanes<S> {
-        R::Lanes::<S>::from_slice(simd, &self.0[index..index + R::Lanes::<S>::LEN])
+}
+
+fn with_acceleration<R: Real, K: Scheme>(
+    level: Level,
+    h: R,
+    drive: Drive<'_, R>,
+    steps: u64,
+    p: &mut [R],
+    v: &mut [R],
+) {
+    match drive.acceleration {
+        Acceleration::Uniform(a) => with_damping::<R, K, _>(level, h, Vector(a), drive.damping, steps, p, v),
+        Acceleration::Each(a) => {
+            assert!(a.len() == p.len());
+            with_damping::<R, K, _>(level, h, Each(a), drive.damping, steps, p, v);
+        }
     }
 }
 
-fn with_damping<R: Real, K: Scheme>(level: Level, h: R, drive: Drive<'_, R>, steps: u64, p: &mut [R], v: &mut [R]) {
-    let a = Each(drive.acceleration);
-    match drive.damping {
+fn with_damping<R: Real, K: Scheme, A: Source<R>>(
+    level: Level,
+    h: R,
+    a: A,
+    damping: Damping<'_, R>,
+    steps: u64,
+    p: &mut [R],
+    v: &mut [R],
+) {
+    match damping {
         Damping::None => {
             let d = Damper::<_, _, false> { factor: Same(R::ONE), rest: Same(R::ZERO) };
-            compiled::<R, K, _, _, _>(level, h, a, d, steps, p, v);
+            compiled::<R, K, _, _, _, _>(level, h, a, d, steps, p, v);
         }
         Damping::Uniform(factor) => {
             let d = Damper::<_, _, true> { factor: Same(factor), rest: Same(R::REST) };
-            compiled::<R, K, _, _, _>(level, h, a, d, steps, p, v);
+            compiled::<R, K, _, _, _, _>(level, h, a, d, steps, p, v);
         }
         Damping::Each(factor) => {
             let d = Damper::<_, _, true> { factor: Each(factor), rest: Same(R::REST) };
-            compiled::<R, K, _, _, _>(level, h, a, d, steps, p, v);
+            compiled::<R, K, _, _, _, _>(level, h, a, d, steps, p, v);
         }
         Damping::Mixed { factor, rest } => {
             let d = Damper::<_, _, true> { factor: Each(factor), rest: Each(rest) };
-            compiled::<R, K, _, _, _>(level, h, a, d, steps, p, v);
+            compiled::<R, K, _, _, _, _>(level, h, a, d, steps, p, v);
         }
     }
 }
 
-fn compiled<R: Real, K: Scheme, F: Source<R>, T: Source<R>, const DAMPS: bool>(
+fn compiled<R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, const DAMPS: bool>(
     level: Level,
     h: R,
-    a: Each<'_, R>,
+    a: A,
     d: Damper<F, T, DAMPS>,
     steps: u64,
     p: &mut [R],
     v: &mut [R],
 ) {
-    dispatch!(level, simd => block::<_, R, K, _, _, _>(simd, h, a, d, steps, p, v));
+    dispatch!(level, simd => block::<_, R, K, _, _, _, _>(simd, h, a, d, steps, p, v));
 }
 
 /// Groups of six registers, which hide the latency of the arithmetic; then of three; then one number at a time.
 #[inline(always)]
-fn block<S: Simd, R: Real, K: Scheme, F: Source<R>, T: Source<R>, const DAMPS: bool>(
+fn block<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, const DAMPS: bool>(
     simd: S,
     h: R,
-    a: Each<'_, R>,
+    a: A,
     d: Damper<F, T, DAMPS>,
     steps: u64,
     p: &mut [R],
     v: &mut [R],
 ) {
     let lanes = R::Lanes::<S>::LEN;
+    let held = (a.hold(simd), d.factor.hold(simd), d.rest.hold(simd));
     let mut at = 0;
     while at + 6 * lanes <= p.len() {
-        group::<S, R, K, _, _, _, 6>(simd, h, a, d, steps, at, p, v);
+        group::<S, R, K, _, _, _, _, 6>(simd, h, a, d, &held, steps, at, p, v);
         at += 6 * lanes;
     }
     while at + 3 * lanes <= p.len() {
-        group::<S, R, K, _, _, _, 3>(simd, h, a, d, steps, at, p, v);
+        group::<S, R, K, _, _, _, _, 3>(simd, h, a, d, &held, steps, at, p, v);
         at += 3 * lanes;
     }
     for index in at..p.len() {
-        single::<R, K, _, _, _>(h, a, d, steps, index, p, v);
+        single::<R, K, _, _, _, _>(h, a, d, steps, index, p, v);
     }
 }
 
 #[inline(always)]
-fn group<S: Simd, R: Real, K: Scheme, F: Source<R>, T: Source<R>, const DAMPS: bool, const N: usize>(
+fn group<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, const DAMPS: bool, const N: usize>(
     simd: S,
     h: R,
-    a: Each<'_, R>,
+    a: A,
     d: Damper<F, T, DAMPS>,
+    held: &Held<R, S, A, F, T>,
     steps: u64,
     at: usize,
     p: &mut [R],
@@ -244,8 +309,8 @@ fn group<S: Simd, R: Real, K: Scheme, F: Source<R>, T: Source<R>, const DAMPS: b
         std::array::from_fn(|k| R::Lanes::<S>::from_slice(simd, &p[k * lanes..(k + 1) * lanes]));
     let mut vs: [R::Lanes<S>; N] =
         std::array::from_fn(|k| R::Lanes::<S>::from_slice(simd, &v[k * lanes..(k + 1) * lanes]));
-    let accelerations: [R::Lanes<S>; N] = std::array::from_fn(|k| a.register(simd, at + k * lanes));
-    let dampings: [R::Lanes<S>; N] = std::array::from_fn(|k| d.factor.register(simd, at + k * lanes));
+    let accelerations: [R::Lanes<S>; N] = std::array::from_fn(|k| a.register(simd, &held.0, at, k));
+    let dampings: [R::Lanes<S>; N] = std::array::from_fn(|k| d.factor.register(simd, &held.1, at, k));
     let half_square = R::Lanes::<S>::splat(simd, h * h * R::HALF);
     let h = R::Lanes::<S>::splat(simd, h);
     let kicks: [R::Lanes<S>; N] = std::array::from_fn(|k| accelerations[k] * h);
@@ -262,9 +327,12 @@ fn group<S: Simd, R: Real, K: Scheme, F: Source<R>, T: Source<R>, const DAMPS: b
             }
         }
         if DAMPS {
-            for k in 0..N {
-                let rest = d.rest.register(simd, at + k * lanes);
-                vs[k] = vs[k].abs().simd_lt(rest).select(zero.copysign(vs[k]), vs[k]);
+            // Hardly ever does anything come to rest; one branch for the group is cheaper than as many selections.
+            let slow: [_; N] = std::array::from_fn(|k| vs[k].abs().simd_lt(d.rest.register(simd, &held.2, at, k)));
+            if slow.into_iter().reduce(|any, slow| any | slow).is_some_and(SimdMask::any_true) {
+                for k in 0..N {
+                    vs[k] = slow[k].select(zero.copysign(vs[k]), vs[k]);
+                }
             }
         }
         left -= some;
@@ -276,9 +344,9 @@ fn group<S: Simd, R: Real, K: Scheme, F: Source<R>, T: Source<R>, const DAMPS: b
 }
 
 #[inline(always)]
-fn single<R: Real, K: Scheme, F: Source<R>, T: Source<R>, const DAMPS: bool>(
+fn single<R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, const DAMPS: bool>(
     h: R,
-    a: Each<'_, R>,
+    a: A,
     d: Damper<F, T, DAMPS>,
     steps: u64,
     index: usize,
@@ -297,7 +365,7 @@ fn single<R: Real, K: Scheme, F: Source<R>, T: Source<R>, const DAMPS: bool>(
             u = kicked;
         }
         if DAMPS {
-            u = at_rest_below(u, d.rest.one(index));
+            u = u.at_rest_below(d.rest.one(index));
         }
         left -= some;
     }

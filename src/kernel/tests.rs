@@ -5,7 +5,7 @@
 use fearless_simd::Level;
 use proptest::prelude::*;
 
-use super::{Damping, Drive, STEPS_BETWEEN_RESTS, Step, advance, to_components};
+use super::{Acceleration, Damping, Drive, STEPS_BETWEEN_RESTS, Step, advance, to_components};
 use crate::integrator::Integrator;
 use crate::real::Real;
 
@@ -40,7 +40,7 @@ fn plain<R: Real>(step: Step<R>, a: R, d: Option<(R, R)>, steps: u64, mut p: R, 
             && (n.is_multiple_of(STEPS_BETWEEN_RESTS) || n == steps)
             && v.abs() < rest
         {
-            v = v.signed_zero();
+            v = v * R::ZERO;
         }
     }
     (p, v)
@@ -52,11 +52,21 @@ fn number<R: Real>(bits: u64) -> R {
     if bits.is_multiple_of(4) && any.is_finite() { any } else { R::nearest((bits >> 12) as f64 / 1e15 - 2.0) }
 }
 
-fn check<R: Real + PartialEq>(seeds: &[[u64; 4]], shape: u8, steps: u64, h: u64) -> Result<(), TestCaseError> {
+/// `shape` is that of the damping; `uniform` that of the acceleration.
+fn check<R: Real + PartialEq>(
+    seeds: &[[u64; 4]],
+    shape: u8,
+    uniform: bool,
+    steps: u64,
+    h: u64,
+) -> Result<(), TestCaseError> {
     // A block is whole particles.
     let len = seeds.len() / 3 * 3;
     let of = |k: usize| seeds[..len].iter().map(|seed| number::<R>(seed[k])).collect::<Vec<R>>();
-    let (p, v, each) = (of(0), of(1), of(2));
+    let (p, v, mut each) = (of(0), of(1), of(2));
+    if uniform {
+        (3..len).for_each(|i| each[i] = each[i - 3]);
+    }
     let share = |seed: u64| R::nearest((seed >> 11) as f64 / (1u64 << 53) as f64);
     let factors: Vec<R> = seeds[..len].iter().map(|seed| share(seed[3])).collect();
     let rests: Vec<R> =
@@ -72,7 +82,11 @@ fn check<R: Real + PartialEq>(seeds: &[[u64; 4]], shape: u8, steps: u64, h: u64)
         };
         for level in levels() {
             let (mut own_p, mut own_v) = (p.clone(), v.clone());
-            advance(level, step, Drive { acceleration: &each, damping }, steps, &mut own_p, &mut own_v);
+            let acceleration = match each.as_slice() {
+                [x, y, z, ..] if uniform => Acceleration::Uniform([*x, *y, *z]),
+                each => Acceleration::Each(each),
+            };
+            advance(level, step, Drive { acceleration, damping }, steps, &mut own_p, &mut own_v);
             for i in 0..len {
                 let d = match shape {
                     0 => None,
@@ -114,8 +128,10 @@ proptest! {
         h in any::<u64>(),
     ) {
         for shape in 0..4 {
-            check::<f32>(&seeds, shape, steps, h)?;
-            check::<f64>(&seeds, shape, steps, h)?;
+            for uniform in [false, true] {
+                check::<f32>(&seeds, shape, uniform, steps, h)?;
+                check::<f64>(&seeds, shape, uniform, steps, h)?;
+            }
         }
     }
 }

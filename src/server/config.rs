@@ -76,8 +76,8 @@ pub struct Config {
         default_value = "127.0.0.1:8080"
     )]
     pub listen: Vec<String>,
-    /// How many long advances run at once; they share the processor, further ones wait.
-    #[arg(long, value_name = "N", env = "POINTMASS_THREADS", default_value_t = default_threads(), value_parser = positive)]
+    /// Threads that share large advances. Twice as many long advances run at once; further ones wait.
+    #[arg(long, value_name = "N", env = "POINTMASS_THREADS", default_value_t = cores(), value_parser = threads)]
     pub threads: usize,
     /// Threads that read requests and write answers.
     #[arg(long, value_name = "N", env = "POINTMASS_WORKERS", default_value_t = default_workers(), value_parser = positive)]
@@ -147,10 +147,16 @@ impl Config {
         Limits { particles: self.particles_max, steps: self.steps_max, particle_steps: self.particle_steps_max }
     }
 
-    /// Threads of the compute pool: one for each long advance, and some that those never take.
+    /// How many long advances may run at once. More than cores: the operating system shares those among worlds.
+    pub(crate) fn long_places(&self) -> usize {
+        2 * self.threads
+    }
+
+    /// Threads that work is moved to from those that answer requests: one for each long advance, and some that those
+    /// never take.
     #[must_use]
-    pub fn pool_threads(&self) -> usize {
-        self.threads + default_threads()
+    pub fn blocking_threads(&self) -> usize {
+        self.long_places() + (2 * cores()).max(4)
     }
 
     pub(crate) fn body_timeout(&self) -> Duration {
@@ -171,14 +177,18 @@ fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// More threads than cores: the operating system shares the cores among long advances of different worlds.
-fn default_threads() -> usize {
-    (2 * cores()).max(4)
-}
-
 /// Requests are short and the client is often on the same machine: half of the cores answer as fast as all of them.
 fn default_workers() -> usize {
     (cores() / 2).max(1)
+}
+
+/// As many as a computer may have cores.
+fn threads(text: &str) -> Result<usize, String> {
+    const THREADS_MAX: usize = 1024;
+    match positive(text)? {
+        threads if threads > THREADS_MAX => Err(format!("must be at most {THREADS_MAX}")),
+        threads => Ok(threads),
+    }
 }
 
 fn positive(text: &str) -> Result<usize, String> {

@@ -32,6 +32,7 @@ pub use healthcheck::healthcheck;
 pub use listen::{ListenError, Listener, serve};
 
 use crate::registry::Registry;
+use crate::threads::Threads;
 use extract::Target;
 use metrics::Metrics;
 use problem::{Code, Problem};
@@ -52,18 +53,30 @@ pub struct App {
     pub(crate) openapi: Bytes,
 }
 
+/// Why a service cannot start.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// Its tokens.
+    #[error(transparent)]
+    Access(#[from] AccessError),
+    /// Its threads.
+    #[error("cannot start the threads that --threads asks for: {0}")]
+    Threads(std::io::Error),
+}
+
 impl App {
     /// A service without worlds.
     ///
     /// # Errors
-    /// When the token file cannot be read, or has no token.
-    pub fn new(config: Config) -> Result<Arc<Self>, AccessError> {
+    /// When the token file cannot be read or has no token, or when the threads cannot be started.
+    pub fn new(config: Config) -> Result<Arc<Self>, StartError> {
         Ok(Arc::new(Self {
             tokens: config.token_file.as_deref().map(Tokens::read).transpose()?,
             worlds: Registry::new(config.worlds_max),
             shared: slot::Shared {
                 memory: memory::Memory::new(config.memory_bytes_max),
-                long_places: Arc::new(tokio::sync::Semaphore::new(config.threads)),
+                threads: Threads::new(config.threads).map_err(StartError::Threads)?,
+                long_places: Arc::new(tokio::sync::Semaphore::new(config.long_places())),
             },
             metrics: Metrics::default(),
             draining: AtomicBool::new(false),

@@ -19,6 +19,7 @@ use crate::server::json::WireReal;
 use crate::server::memory::{Charge, Memory, PARTICLE_BYTES};
 use crate::server::problem::{Code, Problem};
 use crate::server::wire::Description;
+use crate::threads::Threads;
 use crate::world::World;
 
 /// Work, in particle-steps or numbers to write, that is done on the spot: about a tenth of a millisecond. Moving it to
@@ -71,7 +72,9 @@ pub(crate) struct Held<R: Real> {
 #[derive(Debug, Clone)]
 pub(crate) struct Shared {
     pub(crate) memory: Arc<Memory>,
-    /// Places for long advances: `--threads` of them.
+    /// What large advances of all worlds share: `--threads` of them.
+    pub(crate) threads: Threads,
+    /// Places for long advances.
     pub(crate) long_places: Arc<Semaphore>,
 }
 
@@ -319,10 +322,11 @@ mod tests {
     use super::{Code, Cost, Reply, Shared, Slot};
     use crate::server::extract::{Preconditions, Target};
     use crate::server::memory::Memory;
+    use crate::threads::Threads;
     use crate::world::World;
 
     fn shared() -> Shared {
-        Shared { memory: Memory::new(1 << 20), long_places: Arc::new(Semaphore::new(1)) }
+        Shared { memory: Memory::new(1 << 20), threads: Threads::default(), long_places: Arc::new(Semaphore::new(1)) }
     }
 
     /// A panic in the middle of a change: nobody sees the half-changed world again, and it can be deleted.

@@ -2,19 +2,19 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crate::column::Column;
 use crate::command::{Advance, Advanced};
 use crate::double_double::DoubleDouble;
 use crate::error::{Error, Field, Limit, Quantity};
+use crate::forces::Acting;
 use crate::ids::ParticleId;
 use crate::integrator::Integrator;
 use crate::kernel::{self, Step};
-use crate::particles::zero;
 use crate::real::Real;
 use crate::world::bounds::Bounds;
 use crate::world::change::valid_max_step;
 use crate::world::drive::{BLOCK, Scratch};
-use crate::world::{LastForm, NEVER_CANCELLED, World, flowed};
+use crate::world::motion::{self, Carrier, Rows, Span};
+use crate::world::{NEVER_CANCELLED, World};
 
 /// The steps of an advance, decided before it begins.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -30,19 +30,17 @@ pub struct StepPlan {
 /// Clocks stay below 2⁴⁰⁰ s, so that the square of a time is finite.
 const CLOCK_MAX: f64 = f64::from_bits((1023 + 400) << 52);
 
-/// Particles x steps between two looks at whether an advance is cancelled: about a tenth of a millisecond.
-const WORK_BETWEEN_LOOKS: u64 = 1 << 18;
+/// Particle-steps between two looks at whether an advance is cancelled: some milliseconds. Whoever shares the threads has
+/// its turn as often.
+const ROUND_WORK: u64 = 1 << 24;
 
-/// The most particles x steps of an advance that is done in place and cannot be cancelled: some milliseconds, and not
-/// more than a tenth of a second where each step waits for memory.
-const WORK_IN_PLACE: u64 = 1 << 24;
+/// Particle-steps of an advance that is done in place, without a copy to go back to, where bounds prove that it ends well:
+/// a fraction of a second. The copy would take as long as thirty steps.
+const WORK_IN_PLACE: u64 = 1 << 30;
 
-/// Steps of a block between two looks at whether the advance is cancelled: a tenth of a millisecond. A whole number of
-/// times the steps between two rests, so that slices of an advance rest where the whole does.
-const STEPS_BETWEEN_LOOKS: u64 = 16 * kernel::STEPS_BETWEEN_RESTS;
-
-/// A row of a block with the position and velocity that it keeps.
-type Resting<R> = (usize, [R; 3], [R; 3]);
+/// The most steps of a round: a whole number of times the steps between two rests, so that an advance in rounds rests
+/// where the whole does.
+const ROUND_STEPS: u64 = 16 * kernel::STEPS_BETWEEN_RESTS;
 
 impl<R: Real> World<R> {
     /// The steps that an advance would take.
@@ -93,34 +91,38 @@ impl<R: Real> World<R> {
             Ok(plan) if self.settings.integrator != Integrator::Exact => particles.saturating_mul(plan.steps),
             Ok(plan) => {
                 let clock = self.clock + DoubleDouble::from(plan.duration);
-                let looks = self.particles.force != Column::Uniform(zero())
-                    || self.particles.immovable_count > 0
-                    || !self.bounds.hold_until::<R>(clock);
-                if looks { particles } else { 0 }
+                if self.bounds.hold_until::<R>(clock) {
+                    match self.particles.force.acting() {
+                        Acting::Few(ids) => ids.len() as u64,
+                        Acting::Many => particles,
+                    }
+                } else {
+                    particles
+                }
             }
         }
     }
 
     pub(super) fn advance_all(&mut self, advance: &Advance, cancelled: &AtomicBool) -> Result<Advanced, Error> {
         let plan = self.plan(advance)?;
+        if cancelled.load(Ordering::Relaxed) {
+            return Err(Error::Cancelled);
+        }
         let clock = self.clock + DoubleDouble::from(plan.duration);
         if clock.hi > CLOCK_MAX {
             return Err(Error::ClockOutOfRange);
         }
-        let resting = if self.particles.immovable_count > 0 {
-            (0..self.particles.len()).filter(|&row| self.particles.is_resting(row)).count()
-        } else {
-            0
-        };
+        let resting = self.particles.resting_count();
         let integrated = match self.settings.integrator {
             Integrator::Exact => self.flow(plan, clock, cancelled)?,
             Integrator::NewtonEuler | Integrator::NewtonEulerQuadratic | Integrator::SemiImplicitEuler => {
                 self.step(plan, cancelled)?;
-                self.particles.base_time = Column::Uniform(clock);
+                self.particles.note_rest_after_steps();
+                self.particles.base_time.set_all(clock);
                 self.particles.len() - resting
             }
         };
-        self.particles.force = Column::Uniform(zero());
+        self.particles.force.clear(&self.ids);
         self.bounds.force = 0.0;
         self.clock = clock;
         self.step_count += plan.steps;
@@ -166,47 +168,55 @@ impl<R: Real> World<R> {
         Ok(())
     }
 
-    /// Moves position and velocity block by block; all steps of a block while it is in the cache.
+    /// Moves position and velocity in rounds, between which the advance can be cancelled.
     fn run_steps(&mut self, step: Step<R>, steps: u64, cancelled: &AtomicBool) -> Result<(), Error> {
         let mut position = std::mem::take(&mut self.particles.position);
         let mut velocity = std::mem::take(&mut self.particles.velocity);
-        let mut scratch = std::mem::take(&mut self.scratch);
-        let mut work = 0;
+        let rows = usize::try_from(ROUND_WORK / steps.clamp(1, ROUND_STEPS)).unwrap_or(usize::MAX);
         let mut run = || {
-            for (block, (p, v)) in position.chunks_mut(BLOCK).zip(velocity.chunks_mut(BLOCK)).enumerate() {
-                let first = block * BLOCK;
-                let Some(resting) = self.resting_of(first, p, v) else { continue };
-                let drive = scratch.drive(self, first..first + p.len());
+            for (round, (p, v)) in position.chunks_mut(rows).zip(velocity.chunks_mut(rows)).enumerate() {
                 let mut left = steps;
                 while left > 0 {
-                    let slice = left.min(STEPS_BETWEEN_LOOKS);
-                    look(&mut work, slice * BLOCK as u64, cancelled)?;
-                    kernel::advance(self.level, step, drive, slice, p.as_flattened_mut(), v.as_flattened_mut());
-                    left -= slice;
-                }
-                for (row, place, speed) in resting {
-                    (p[row], v[row]) = (place, speed);
+                    if cancelled.load(Ordering::Relaxed) {
+                        return Err(Error::Cancelled);
+                    }
+                    let some = left.min(ROUND_STEPS);
+                    let first = round * rows;
+                    self.threads.advance(some, p, v, |row, p, v| self.step_rows(step, some, first + row, p, v));
+                    left -= some;
                 }
             }
             Ok(())
         };
         let result = run();
         (self.particles.position, self.particles.velocity) = (position, velocity);
-        self.scratch = scratch;
         result
     }
 
-    /// The resting particles of a block, which are put back as they were; `None` when all of them rest.
-    fn resting_of(&self, first: usize, p: &[[R; 3]], v: &[[R; 3]]) -> Option<Vec<Resting<R>>> {
-        let mut resting = Vec::new();
-        if self.particles.immovable_count > 0 {
-            for (row, (place, speed)) in p.iter().zip(v).enumerate() {
-                if self.particles.nothing_moves(first + row) && *speed == zero() {
-                    resting.push((row, *place, *speed));
-                }
+    /// Takes some steps with the rows from `first` on, except those at rest: all steps of a block while it is in the
+    /// cache.
+    fn step_rows(&self, step: Step<R>, steps: u64, first: usize, p: &mut [[R; 3]], v: &mut [[R; 3]]) {
+        let particles = &self.particles;
+        let rests = particles.resting_count() > 0;
+        if !rests && let Some(drive) = self.drive_as_it_is(first..first + p.len()) {
+            return kernel::advance(self.level, step, drive, steps, p.as_flattened_mut(), v.as_flattened_mut());
+        }
+        let mut scratch = Scratch::default();
+        for (block, (p, v)) in p.chunks_mut(BLOCK).zip(v.chunks_mut(BLOCK)).enumerate() {
+            let rows = first + block * BLOCK..first + block * BLOCK + p.len();
+            let resting = |row: &usize| rests && particles.is_resting(*row);
+            if rows.clone().all(|row| resting(&row)) {
+                continue;
+            }
+            // Those at rest are moved along and put back.
+            let kept: Vec<_> = rows.clone().zip(p.iter().zip(&*v)).filter(|(row, _)| resting(row)).collect();
+            let kept: Vec<_> = kept.into_iter().map(|(row, (p, v))| (row - rows.start, *p, *v)).collect();
+            let drive = self.drive(rows, &mut scratch);
+            kernel::advance(self.level, step, drive, steps, p.as_flattened_mut(), v.as_flattened_mut());
+            for (row, place, speed) in kept {
+                (p[row], v[row]) = (place, speed);
             }
         }
-        (resting.len() < p.len()).then_some(resting)
     }
 
     /// The smallest id of a particle that did not stay finite, with its first step, found by stepping it again.
@@ -222,8 +232,8 @@ impl<R: Real> World<R> {
         let Some((particle, row)) = diverged.map(|(row, _)| (self.ids.id(row), row)).min() else { return Ok(()) };
         let (mut p, mut v) = (before.0[row], before.1[row]);
         let mut scratch = Scratch::default();
-        let drive = scratch.drive(self, row..row + 1);
-        let (mut work, mut done) = (0, 0);
+        let drive = self.drive(row..row + 1, &mut scratch);
+        let mut done = 0;
         while done < steps {
             // From rest to rest, so that each step is the one of the advance.
             let some = (steps - done).min(kernel::STEPS_BETWEEN_RESTS);
@@ -241,7 +251,9 @@ impl<R: Real> World<R> {
             {
                 return Err(Error::Diverged { particle, quantity, step: done + n });
             }
-            look(&mut work, some, cancelled)?;
+            if cancelled.load(Ordering::Relaxed) {
+                return Err(Error::Cancelled);
+            }
             (p, v) = after(some);
             done += some;
         }
@@ -249,68 +261,114 @@ impl<R: Real> World<R> {
     }
 
     /// An advance under the closed form: particles with a force move now, the others when they are read. How many moved.
+    ///
+    /// In place when bounds prove that it ends well; otherwise everything is looked at before anything is written.
     fn flow(&mut self, plan: StepPlan, clock: DoubleDouble, cancelled: &AtomicBool) -> Result<usize, Error> {
-        let particles = &self.particles;
-        let forces = particles.force != Column::Uniform(zero());
-        let safe = self.bounds.hold_until::<R>(clock);
-        if !forces && safe {
-            return Ok(0);
+        let forced = self.forced_rows();
+        if !self.bounds.hold_until::<R>(clock) {
+            self.look_ahead(&forced, plan, clock, cancelled)?;
+            self.bounds = Bounds::of(&self.particles, self.gravity());
+            self.bounds.horizon = self.horizon(clock, plan.duration);
         }
-        let (mut start, mut end) = (LastForm::default(), LastForm::default());
-        let mut moved = Vec::new();
+        let len = self.particles.len();
+        let mut forces = Forced::new(self, forced.len(), plan.duration);
+        let (mut p, mut v) = (Vec::new(), Vec::new());
+        for rows in Rows::List(&forced).blocks() {
+            forces.flow(self, &rows, &mut p, &mut v);
+            for (row, (p, v)) in rows.iter().zip(p.iter().zip(&v)) {
+                (self.particles.position[row], self.particles.velocity[row]) = (*p, *v);
+                if forced.len() < len {
+                    self.particles.base_time.set(row, clock, len);
+                }
+                self.bounds.include(&self.particles, row);
+            }
+        }
+        if forced.len() == len {
+            self.particles.base_time.set_all(clock);
+        }
+        Ok(forced.len())
+    }
+
+    /// Rows on which a force acts that moves them, in ascending order of id where they are few.
+    fn forced_rows(&self) -> Vec<usize> {
+        let forced = |row: &usize| self.particles.is_forced(*row);
+        match self.particles.force.acting() {
+            Acting::Few(ids) => {
+                let mut ids = ids.clone();
+                ids.sort_unstable();
+                ids.dedup();
+                ids.into_iter().filter_map(|id| self.ids.row(id)).filter(forced).collect()
+            }
+            Acting::Many => (0..self.particles.len()).filter(forced).collect(),
+        }
+    }
+
+    fn copy_bases(&self, rows: &Rows<'_>, p: &mut Vec<[R; 3]>, v: &mut Vec<[R; 3]>) {
+        p.clear();
+        v.clear();
+        motion::copy_rows(&self.particles.position, rows, p);
+        motion::copy_rows(&self.particles.velocity, rows, v);
+    }
+
+    /// Refuses an advance at whose end something is not finite.
+    fn look_ahead(
+        &self,
+        forced: &[usize],
+        plan: StepPlan,
+        clock: DoubleDouble,
+        cancelled: &AtomicBool,
+    ) -> Result<(), Error> {
         let mut diverged: Option<(ParticleId, Quantity)> = None;
-        let mut work = 0;
-        for row in 0..particles.len() {
-            look(&mut work, 1, cancelled)?;
-            let (p, v) = if forces && particles.is_forced(row) {
-                let (p, v) = self.now(row, &mut start);
-                let own = particles.acceleration(row, self.gravity());
-                let (w, f) = (particles.inverse_mass.get(row).into(), particles.force.get(row));
-                let acceleration = std::array::from_fn(|k| own[k].into() + w * f[k].into());
-                let state = flowed(p, v, acceleration, particles.damping.get(row), plan.duration, &mut end);
-                moved.push((row, state));
-                state
-            } else if safe {
-                continue;
-            } else {
-                self.at(row, clock, &mut end)
-            };
-            if let Some(quantity) = kernel::non_finite(&p, &v) {
+        let mut note = |row, p: &[R; 3], v: &[R; 3]| {
+            if let Some(quantity) = kernel::non_finite(p, v) {
                 let id = self.ids.id(row);
                 diverged = Some(diverged.filter(|(smallest, _)| *smallest < id).unwrap_or((id, quantity)));
             }
+        };
+        let (mut p, mut v) = (Vec::new(), Vec::new());
+        let mut deferred = Carrier::new(self, Span::To(clock), false, self.particles.len());
+        let mut forces = Forced::new(self, forced.len(), plan.duration);
+        let every = Rows::Range(0..self.particles.len()).blocks().map(|rows| (rows, false));
+        for (rows, moves) in every.chain(Rows::List(forced).blocks().map(|rows| (rows, true))) {
+            if cancelled.load(Ordering::Relaxed) {
+                return Err(Error::Cancelled);
+            }
+            if moves {
+                forces.flow(self, &rows, &mut p, &mut v);
+            } else {
+                self.copy_bases(&rows, &mut p, &mut v);
+                deferred.carry(self, &rows, &mut p, &mut v);
+            }
+            for (row, (p, v)) in rows.iter().zip(p.iter().zip(&v)) {
+                if moves || !self.particles.is_forced(row) {
+                    note(row, p, v);
+                }
+            }
         }
-        if let Some((particle, quantity)) = diverged {
-            return Err(Error::Diverged { particle, quantity, step: 1 });
+        match diverged {
+            Some((particle, quantity)) => Err(Error::Diverged { particle, quantity, step: 1 }),
+            None => Ok(()),
         }
-        let len = particles.len();
-        if !safe {
-            // All of them were looked at; the bounds may have been of one that is gone.
-            self.bounds = Bounds::of(&self.particles, self.gravity());
-        }
-        if moved.len() == len {
-            self.particles.base_time = Column::Uniform(clock);
-        }
-        for &(row, (p, v)) in &moved {
-            self.particles.position[row] = p;
-            self.particles.velocity[row] = v;
-            self.particles.base_time.set(row, clock, len);
-            self.bounds.include(&self.particles, row);
-        }
-        Ok(moved.len())
     }
 }
 
-/// Counts work; looks at the flag once in a while.
-fn look(work: &mut u64, more: u64, cancelled: &AtomicBool) -> Result<(), Error> {
-    *work += more;
-    if *work >= WORK_BETWEEN_LOOKS {
-        *work = 0;
-        if cancelled.load(Ordering::Relaxed) {
-            return Err(Error::Cancelled);
-        }
+/// Takes particles to where they are now, and on under the force.
+struct Forced {
+    start: Carrier,
+    end: Carrier,
+}
+
+impl Forced {
+    fn new<R: Real>(world: &World<R>, count: usize, duration: f64) -> Self {
+        let start = Carrier::new(world, Span::To(world.clock), false, count);
+        Self { start, end: Carrier::new(world, Span::By(duration), true, count) }
     }
-    Ok(())
+
+    fn flow<R: Real>(&mut self, world: &World<R>, rows: &Rows<'_>, p: &mut Vec<[R; 3]>, v: &mut Vec<[R; 3]>) {
+        world.copy_bases(rows, p, v);
+        self.start.carry(world, rows, p, v);
+        self.end.carry(world, rows, p, v);
+    }
 }
 
 /// The number of steps of at most `max_step`; a quotient within 10⁻⁹ of a whole number counts as that number.

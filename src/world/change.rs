@@ -6,10 +6,11 @@ use crate::column::Column;
 use crate::command::{Configure, Mass, NewParticles, Outcome, Selection, Settings};
 use crate::error::{Error, Field, Limit, Place, Quantity};
 use crate::ids::ParticleId;
-use crate::particles::zero;
+use crate::particles::New;
 use crate::real::Real;
 use crate::world::bounds::{Bounds, magnitude};
-use crate::world::{LastForm, World, add};
+use crate::world::motion::Rows;
+use crate::world::{World, add};
 
 impl<R: Real> World<R> {
     fn rows(&self, ids: &Selection) -> Result<Vec<usize>, Error> {
@@ -35,17 +36,9 @@ impl<R: Real> World<R> {
         if asked > self.limits.particles {
             return Err(Error::LimitReached { limit: Limit::Particles, allowed: self.limits.particles, asked });
         }
-        let particles = &mut self.particles;
-        particles.position.extend((0..count).map(|i| position.get(i)));
-        particles.velocity.extend((0..count).map(|i| velocity.get(i)));
-        particles.own_acceleration.extend(len, &acceleration.map(Option::unwrap_or_default), count);
-        particles.has_own_acceleration.extend(len, &acceleration.map(|own| own.is_some()).collapsed(), count);
-        particles.damping.extend(len, &damping, count);
+        let new = New { position, velocity, acceleration, damping, inverse_mass };
+        self.particles.extend(&new, count, self.clock);
         self.factors.forget();
-        particles.inverse_mass.extend(len, &inverse_mass, count);
-        particles.immovable_count += (0..count).filter(|&i| inverse_mass.get(i) == R::ZERO).count();
-        particles.force.extend(len, &Column::Uniform(zero()), count);
-        particles.base_time.extend(len, &Column::Uniform(self.clock), count);
         for row in len..len + count {
             self.bounds.include(&self.particles, row);
         }
@@ -64,15 +57,15 @@ impl<R: Real> World<R> {
         let rows = self.rows(ids)?;
         let position = position.map(|column| vectors(column, Field::Position, rows.len())).transpose()?;
         let velocity = velocity.map(|column| vectors(column, Field::Velocity, rows.len())).transpose()?;
-        let mut form = LastForm::default();
         for (i, &row) in rows.iter().enumerate() {
-            self.rebase(row, &mut form);
+            self.rebase(row);
             if let Some(position) = &position {
                 self.particles.position[row] = position.get(i);
             }
             if let Some(velocity) = &velocity {
                 self.particles.velocity[row] = velocity.get(i);
             }
+            self.particles.note_rest(row);
             self.bounds.include(&self.particles, row);
         }
         Ok(Outcome::Changed { count: rows.len() })
@@ -90,7 +83,7 @@ impl<R: Real> World<R> {
         let damping = damping.map(|column| dampings(column, rows.len())).transpose()?;
         let inverse_mass = mass.map(|column| inverse_masses(column, rows.len())).transpose()?;
         if acceleration.is_some() || damping.is_some() || inverse_mass.is_some() {
-            self.rebase_all(&rows);
+            self.rebase_many(&Rows::List(&rows));
         }
         if damping.is_some() {
             self.factors.forget();
@@ -108,6 +101,7 @@ impl<R: Real> World<R> {
             particles.count_immovable();
         }
         for &row in &rows {
+            self.particles.note_rest(row);
             self.bounds.include(&self.particles, row);
         }
         Ok(Outcome::Changed { count: rows.len() })
@@ -117,19 +111,31 @@ impl<R: Real> World<R> {
         let rows = self.rows(ids)?;
         let force = vectors(force, Field::Force, rows.len())?.map(|f| f.map(positive_zero));
         let len = self.particles.len();
+        if let (Selection::All, Column::Uniform(force), Column::Uniform(old)) =
+            (ids, &force, self.particles.force.column())
+            && len > 0
+        {
+            let sum = add(*old, *force);
+            if !sum.iter().all(|x| x.is_finite()) {
+                return Err(self.overflow(rows[0], Quantity::Force, Field::Force, &Column::Uniform(*force), 0));
+            }
+            self.particles.force.set_all(sum);
+            self.bounds.force = self.bounds.force.max(magnitude(sum));
+            return Ok(Outcome::Changed { count: len });
+        }
         let mut before = Vec::with_capacity(rows.len());
         for (i, &row) in rows.iter().enumerate() {
-            let old = self.particles.force.get(row);
+            let (id, old) = (self.ids.id(row), self.particles.force.get(row));
             let sum = add(old, force.get(i));
             if !sum.iter().all(|x| x.is_finite()) {
                 let error = self.overflow(row, Quantity::Force, Field::Force, &force, i);
-                for (&row, old) in rows.iter().zip(before).rev() {
-                    self.particles.force.set(row, old, len);
+                for (&row, (id, old)) in rows.iter().zip(before).rev() {
+                    self.particles.force.set(row, id, old, len);
                 }
                 return Err(error);
             }
-            before.push(old);
-            self.particles.force.set(row, sum, len);
+            before.push((id, old));
+            self.particles.force.set(row, id, sum, len);
             self.bounds.force = self.bounds.force.max(magnitude(sum));
         }
         Ok(Outcome::Changed { count: rows.len() })
@@ -140,9 +146,8 @@ impl<R: Real> World<R> {
         let impulse = vectors(impulse, Field::Impulse, rows.len())?;
         // The new velocities are computed aside: a particle that is named twice starts from its first one.
         let mut velocities: HashMap<usize, [R; 3]> = HashMap::with_capacity(rows.len());
-        let mut form = LastForm::default();
         for (i, &row) in rows.iter().enumerate() {
-            let velocity = velocities.entry(row).or_insert_with(|| self.now(row, &mut form).1);
+            let velocity = velocities.entry(row).or_insert_with(|| self.now(row).1);
             let w = self.particles.inverse_mass.get(row);
             *velocity = add(*velocity, impulse.get(i).map(|j| j * w));
             if !velocity.iter().all(|x| x.is_finite()) {
@@ -150,8 +155,9 @@ impl<R: Real> World<R> {
             }
         }
         for (row, velocity) in velocities {
-            self.rebase(row, &mut form);
+            self.rebase(row);
             self.particles.velocity[row] = velocity;
+            self.particles.note_rest(row);
             self.bounds.include(&self.particles, row);
         }
         Ok(Outcome::Changed { count: rows.len() })
@@ -209,7 +215,7 @@ impl<R: Real> World<R> {
             let rows: Vec<usize> = (0..self.particles.len())
                 .filter(|&row| change.integrator.is_some() || self.follows_gravity(row))
                 .collect();
-            self.rebase_all(&rows);
+            self.rebase_many(&Rows::List(&rows));
         }
         self.settings = settings;
         if motion_changes {

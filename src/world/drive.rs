@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use crate::column::Column;
 use crate::integrator::DampingLaw;
-use crate::kernel::{self, Drive};
+use crate::kernel::{self, Acceleration, Drive};
 use crate::particles::Driving;
 use crate::real::Real;
 use crate::world::World;
@@ -54,59 +54,67 @@ fn damping_factor<R: Real>(law: DampingLaw, damping: R, h: R) -> R {
     }
 }
 
-/// Particles that are moved together: with all that drives them, they fit into the first cache.
+/// Particles that are moved together where something has to be computed for each: with all that drives them, they fit
+/// into the first cache.
 pub(super) const BLOCK: usize = 256;
 
-/// Room for what drives the components of one block, where no column has it as it is. The world keeps it, so that an
-/// advance allocates nothing; it is as large as the scene needs, and at most one block.
-#[derive(Debug, Clone, Default)]
+/// Room for what drives the components of one block, where no column has it as it is.
+#[derive(Debug, Default)]
 pub(super) struct Scratch<R> {
-    acceleration: Vec<R>,
-    /// What the acceleration is filled with, when it is the same for all.
-    uniform: Option<[R; 3]>,
-    factor: Vec<R>,
-    rest: Vec<R>,
+    acceleration: Option<Room<R>>,
+    factor: Option<Room<R>>,
+    rest: Option<Room<R>>,
 }
 
-impl<R: Real> Scratch<R> {
-    /// What drives the particles of some rows. Decided by values: a column of equal values is no different from a
-    /// uniform one.
-    pub(super) fn drive<'a>(&'a mut self, world: &'a World<R>, rows: Range<usize>) -> Drive<'a, R> {
-        let particles = &world.particles;
-        let len = 3 * rows.len();
-        let at_least = |buffer: &mut Vec<R>| buffer.resize(buffer.len().max(len), R::ZERO);
-        let acceleration = match particles.driving_acceleration(world.gravity(), rows.clone()) {
-            Driving::Column(column) => column.as_flattened(),
-            Driving::Uniform(uniform) => {
-                if self.uniform != Some(uniform) || self.acceleration.len() < len {
-                    at_least(&mut self.acceleration);
-                    self.acceleration.as_chunks_mut::<3>().0.fill(uniform);
-                    self.uniform = Some(uniform);
-                }
-                &self.acceleration[..len]
-            }
+type Room<R> = [[R; 3]; BLOCK];
+
+/// The room for `len` particles, made when it is first needed: making it takes as long as ten particles.
+fn room<R: Real>(room: &mut Option<Room<R>>, len: usize) -> &mut [[R; 3]] {
+    &mut room.get_or_insert_with(|| [[R::ZERO; 3]; BLOCK])[..len]
+}
+
+impl<R: Real> World<R> {
+    /// What drives some rows, if nothing has to be computed for each of them.
+    pub(super) fn drive_as_it_is(&self, rows: Range<usize>) -> Option<Drive<'_, R>> {
+        let acceleration = match self.particles.driving_acceleration(self.gravity(), rows) {
+            Driving::Uniform(uniform) => Acceleration::Uniform(uniform),
+            Driving::Column(column) => Acceleration::Each(column.as_flattened()),
+            Driving::Each => return None,
+        };
+        let damping = match self.particles.damping {
+            Column::Uniform(damping) if damping == R::ONE => kernel::Damping::None,
+            Column::Uniform(_) => kernel::Damping::Uniform(self.factors.values[0]),
+            Column::PerParticle(_) => return None,
+        };
+        Some(Drive { acceleration, damping })
+    }
+
+    /// What drives the rows of a block. Decided by values: a column of equal values is no different from a uniform one.
+    pub(super) fn drive<'a>(&'a self, rows: Range<usize>, scratch: &'a mut Scratch<R>) -> Drive<'a, R> {
+        let len = rows.len();
+        let acceleration = match self.particles.driving_acceleration(self.gravity(), rows.clone()) {
+            Driving::Uniform(uniform) => Acceleration::Uniform(uniform),
+            Driving::Column(column) => Acceleration::Each(column.as_flattened()),
             Driving::Each => {
-                self.uniform = None;
-                at_least(&mut self.acceleration);
-                particles.fill_acceleration(world.gravity(), rows.clone(), self.acceleration.as_chunks_mut::<3>().0);
-                &self.acceleration[..len]
+                let filled = room(&mut scratch.acceleration, len);
+                self.particles.fill_acceleration(self.gravity(), rows.clone(), filled);
+                Acceleration::Each(filled.as_flattened())
             }
         };
-        let damping = match &particles.damping {
-            Column::Uniform(d) if *d == R::ONE => kernel::Damping::None,
-            Column::Uniform(_) => kernel::Damping::Uniform(world.factors.values[0]),
+        let damping = match &self.particles.damping {
+            Column::Uniform(damping) if *damping == R::ONE => kernel::Damping::None,
+            Column::Uniform(_) => kernel::Damping::Uniform(self.factors.values[0]),
             Column::PerParticle(dampings) => {
-                at_least(&mut self.factor);
-                let factor = &mut self.factor[..len];
-                kernel::to_components(world.level, &world.factors.values[rows.clone()], factor);
-                if world.factors.all_damped {
+                let factor = room(&mut scratch.factor, len).as_flattened_mut();
+                kernel::to_components(self.level, &self.factors.values[rows.clone()], factor);
+                if self.factors.all_damped {
                     kernel::Damping::Each(factor)
                 } else {
-                    at_least(&mut self.rest);
-                    for (rest, damping) in self.rest.as_chunks_mut::<3>().0.iter_mut().zip(&dampings[rows]) {
+                    let rests = room(&mut scratch.rest, len);
+                    for (rest, damping) in rests.iter_mut().zip(&dampings[rows]) {
                         *rest = [if *damping < R::ONE { R::REST } else { R::ZERO }; 3];
                     }
-                    kernel::Damping::Mixed { factor, rest: &self.rest[..len] }
+                    kernel::Damping::Mixed { factor, rest: rests.as_flattened() }
                 }
             }
         };

@@ -6,22 +6,23 @@ mod change;
 #[cfg(feature = "digest")]
 mod digest;
 mod drive;
+mod motion;
 
 use std::sync::atomic::AtomicBool;
 
 use fearless_simd::Level;
 
-use crate::closed_form::ClosedForm;
 use crate::column::Column;
 use crate::command::{Advance, Advanced, Command, Configure, Mass, Outcome, Particle, Settings};
 use crate::double_double::DoubleDouble;
 use crate::error::{Error, Limits};
 use crate::ids::{Ids, ParticleId};
-use crate::kernel;
 use crate::particles::Particles;
 use crate::real::Real;
+use crate::threads::Threads;
 use bounds::Bounds;
-use drive::{Factors, Scratch};
+use drive::Factors;
+use motion::{Carrier, Rows, Span};
 
 pub use advance::StepPlan;
 #[cfg(feature = "digest")]
@@ -51,7 +52,7 @@ pub struct World<R: Real = f64> {
     revision: u64,
     bounds: Bounds,
     factors: Factors<R>,
-    scratch: Scratch<R>,
+    threads: Threads,
     level: Level,
 }
 
@@ -86,6 +87,32 @@ pub struct ParticleState<R: Real = f64> {
     pub force: R::Vec3,
 }
 
+/// Positions and velocities of some particles, as columns of one length.
+#[derive(Debug, Clone, PartialEq)]
+pub struct States<R: Real = f64> {
+    /// Their names.
+    pub id: Vec<ParticleId>,
+    /// Metres.
+    pub position: Vec<[R; 3]>,
+    /// Metres per second.
+    pub velocity: Vec<[R; 3]>,
+}
+
+impl<R: Real> Default for States<R> {
+    fn default() -> Self {
+        Self { id: Vec::new(), position: Vec::new(), velocity: Vec::new() }
+    }
+}
+
+impl<R: Real> States<R> {
+    /// Takes all out and keeps the room.
+    pub fn clear(&mut self) {
+        self.id.clear();
+        self.position.clear();
+        self.velocity.clear();
+    }
+}
+
 impl<R: Real> ParticleState<R> {
     /// 1/inverse mass in kilograms; `None` when the particle is immovable, or so heavy that the number is not finite (an
     /// inverse mass below about 2⁻¹⁰²⁴, 2⁻¹²⁸ in single).
@@ -94,6 +121,9 @@ impl<R: Real> ParticleState<R> {
         Some(R::ONE / self.inverse_mass).filter(|mass| mass.is_finite())
     }
 }
+
+/// Particles that an iterator begins with.
+const SHORT: usize = 8;
 
 static NEVER_CANCELLED: AtomicBool = AtomicBool::new(false);
 
@@ -129,7 +159,7 @@ impl<R: Real> World<R> {
             revision: 0,
             bounds: Bounds::default(),
             factors: Factors::default(),
-            scratch: Scratch::default(),
+            threads: Threads::default(),
             level: Level::new(),
         };
         world.configure(&Configure {
@@ -269,6 +299,11 @@ impl<R: Real> World<R> {
         }
     }
 
+    /// Lets these threads share large advances. How many they are decides nothing about the result.
+    pub fn set_threads(&mut self, threads: &Threads) {
+        self.threads = threads.clone();
+    }
+
     /// The settings in force.
     #[must_use]
     pub fn settings(&self) -> &Settings<R> {
@@ -311,7 +346,8 @@ impl<R: Real> World<R> {
     /// Unknown particle.
     pub fn particle(&self, id: ParticleId) -> Result<ParticleState<R>, Error> {
         let row = self.ids.row(id).ok_or(Error::UnknownParticle { id, index: 0 })?;
-        Ok(self.state(id, row, &mut LastForm::default()))
+        let (position, velocity) = self.now(row);
+        Ok(self.state(id, row, position, velocity))
     }
 
     /// The states of all particles, in ascending order of id.
@@ -321,53 +357,112 @@ impl<R: Real> World<R> {
 
     /// The same, from the first id that is at least `first`.
     pub fn particles_from(&self, first: ParticleId) -> impl Iterator<Item = ParticleState<R>> {
-        let mut form = LastForm::default();
-        self.ids.from(first.0).map(move |(id, row)| self.state(id, row, &mut form))
+        let mut every = self.ids.from(first.0);
+        let (mut rows, mut at) = (Vec::new(), 0);
+        // A short read is not made to pay for a whole block.
+        let mut carrier = Carrier::new(self, Span::To(self.clock), false, SHORT);
+        let mut block = States::default();
+        std::iter::from_fn(move || {
+            if at == rows.len() {
+                let limit = if rows.is_empty() { SHORT } else { motion::BLOCK };
+                if rows.len() == SHORT {
+                    carrier = Carrier::new(self, Span::To(self.clock), false, self.particles.len());
+                }
+                (rows, at) = (every.by_ref().take(limit).collect(), 0);
+                let list: Vec<usize> = rows.iter().map(|(_, row)| *row).collect();
+                block.clear();
+                self.read_block(&mut carrier, &Rows::List(&list), &mut block);
+            }
+            let (id, row) = *rows.get(at)?;
+            at += 1;
+            Some(self.state(id, row, block.position[at - 1], block.velocity[at - 1]))
+        })
+    }
+
+    /// Appends ids, positions and velocities of up to `limit` particles, in ascending order of id, from the first id that
+    /// is at least `first`. The fastest way to read many: under [`Integrator::Exact`] they are evaluated in vector
+    /// registers, under the others copied.
+    ///
+    /// ```
+    /// use pointmass::{NewParticles, ParticleId, States, World};
+    /// let mut world = World::<f64>::default();
+    /// world.apply(&pointmass::Command::Create(NewParticles { count: 3, ..Default::default() }))?;
+    /// let mut states = States::default();
+    /// world.read(ParticleId(1), 100, &mut states);
+    /// assert_eq!(states.id, [ParticleId(1), ParticleId(2)]);
+    /// assert_eq!(states.position[0], [0.0, 0.0, 0.0]);
+    /// # Ok::<(), pointmass::Error>(())
+    /// ```
+    pub fn read(&self, first: ParticleId, limit: usize, into: &mut States<R>) {
+        if let Some(range) = self.ids.rows_from(first, limit) {
+            into.id.extend(range.clone().map(|row| ParticleId(row as u64)));
+            self.read_rows(Rows::Range(range), into);
+        } else {
+            let found = self.ids.from(first.0).take(limit);
+            let (ids, rows): (Vec<ParticleId>, Vec<usize>) = found.unzip();
+            into.id.extend(ids);
+            self.read_rows(Rows::List(&rows), into);
+        }
+    }
+
+    /// Appends positions and velocities.
+    fn read_rows(&self, rows: Rows<'_>, into: &mut States<R>) {
+        let mut carrier = Carrier::new(self, Span::To(self.clock), false, rows.len());
+        rows.blocks().for_each(|rows| self.read_block(&mut carrier, &rows, into));
+    }
+
+    fn read_block(&self, carrier: &mut Carrier, rows: &Rows<'_>, into: &mut States<R>) {
+        let old = into.position.len();
+        motion::copy_rows(&self.particles.position, rows, &mut into.position);
+        motion::copy_rows(&self.particles.velocity, rows, &mut into.velocity);
+        carrier.carry(self, rows, &mut into.position[old..], &mut into.velocity[old..]);
+    }
+
+    /// Shows all particles, in ascending order of id, in blocks that stay in the cache: the fastest way to look at every
+    /// particle once.
+    ///
+    /// ```
+    /// use pointmass::{Command, NewParticles, World};
+    /// let mut world = World::<f64>::default();
+    /// world.apply(&Command::Create(NewParticles { count: 3, ..Default::default() }))?;
+    /// let mut highest = f64::MIN;
+    /// world.for_each_block(|block| {
+    ///     highest = block.position.iter().fold(highest, |highest, position| highest.max(position[1]));
+    /// });
+    /// assert_eq!(highest, 0.0);
+    /// # Ok::<(), pointmass::Error>(())
+    /// ```
+    pub fn for_each_block(&self, mut visit: impl FnMut(&States<R>)) {
+        let count = self.particles.len();
+        let mut carrier = Carrier::new(self, Span::To(self.clock), false, count);
+        let mut block = States::default();
+        let mut show = |ids: &mut dyn Iterator<Item = ParticleId>, rows: &Rows<'_>| {
+            block.clear();
+            block.id.extend(ids);
+            self.read_block(&mut carrier, rows, &mut block);
+            visit(&block);
+        };
+        if let Some(range) = self.ids.rows_from(ParticleId(0), count) {
+            for rows in Rows::Range(range).blocks() {
+                show(&mut rows.iter().map(|row| ParticleId(row as u64)), &rows);
+            }
+        } else {
+            let mut every = self.ids.from(0);
+            loop {
+                let (ids, rows): (Vec<_>, Vec<_>) = every.by_ref().take(motion::BLOCK).unzip();
+                if ids.is_empty() {
+                    return;
+                }
+                show(&mut ids.into_iter(), &Rows::List(&rows));
+            }
+        }
     }
 
     fn gravity(&self) -> [R; 3] {
         self.settings.gravity.into()
     }
 
-    /// Position and velocity at the clock.
-    fn now(&self, row: usize, form: &mut LastForm) -> ([R; 3], [R; 3]) {
-        self.at(row, self.clock, form)
-    }
-
-    /// Position and velocity at a clock that is not before the base time.
-    fn at(&self, row: usize, clock: DoubleDouble, form: &mut LastForm) -> ([R; 3], [R; 3]) {
-        let particles = &self.particles;
-        let (p, v) = (particles.position[row], particles.velocity[row]);
-        let elapsed = (clock - particles.base_time.get(row)).hi;
-        if elapsed == 0.0 || particles.is_resting(row) {
-            return (p, v);
-        }
-        let acceleration = particles.acceleration(row, self.gravity()).map(Into::into);
-        flowed(p, v, acceleration, particles.damping.get(row), elapsed, form)
-    }
-
-    /// Stores what a read of now returns, with the clock as base time. Does nothing under a stepped integrator, whose
-    /// states always hold at the clock.
-    fn rebase(&mut self, row: usize, form: &mut LastForm) {
-        let len = self.particles.len();
-        (self.particles.position[row], self.particles.velocity[row]) = self.now(row, form);
-        self.particles.base_time.set(row, self.clock, len);
-    }
-
-    fn rebase_all(&mut self, rows: &[usize]) {
-        let mut form = LastForm::default();
-        for &row in rows {
-            self.rebase(row, &mut form);
-        }
-        if rows.len() >= self.particles.len()
-            && (0..self.particles.len()).all(|row| self.particles.base_time.get(row) == self.clock)
-        {
-            self.particles.base_time = Column::Uniform(self.clock);
-        }
-    }
-
-    fn state(&self, id: ParticleId, row: usize, form: &mut LastForm) -> ParticleState<R> {
-        let (position, velocity) = self.now(row, form);
+    fn state(&self, id: ParticleId, row: usize, position: [R; 3], velocity: [R; 3]) -> ParticleState<R> {
         let particles = &self.particles;
         ParticleState {
             id,
@@ -384,36 +479,4 @@ impl<R: Real> World<R> {
 
 fn add<R: Real>(a: [R; 3], b: [R; 3]) -> [R; 3] {
     std::array::from_fn(|k| a[k] + b[k])
-}
-
-/// The closed form over a time, computed in double and rounded once.
-fn flowed<R: Real>(
-    p: [R; 3],
-    v: [R; 3],
-    acceleration: [f64; 3],
-    damping: R,
-    time: f64,
-    form: &mut LastForm,
-) -> ([R; 3], [R; 3]) {
-    let form = form.of(damping.into(), time);
-    let (p, v) = form.apply(p.map(Into::into), v.map(Into::into), acceleration);
-    let v = v.map(R::nearest);
-    (p.map(R::nearest), if damping < R::ONE { v.map(|v| kernel::at_rest_below(v, R::REST)) } else { v })
-}
-
-/// The closed form that was last used: particles with the same damping and base time share it.
-#[derive(Debug, Default)]
-struct LastForm(Option<(f64, f64, ClosedForm)>);
-
-impl LastForm {
-    fn of(&mut self, damping: f64, time: f64) -> ClosedForm {
-        match self.0 {
-            Some((d, t, form)) if d == damping && t == time => form,
-            Some(_) | None => {
-                let form = ClosedForm::new(damping, time);
-                self.0 = Some((damping, time, form));
-                form
-            }
-        }
-    }
 }

@@ -32,7 +32,7 @@ impl Service {
         let thread = std::thread::spawn(move || {
             let runtime = tokio::runtime::Builder::new_multi_thread()
                 .worker_threads(config.workers)
-                .max_blocking_threads(config.pool_threads())
+                .max_blocking_threads(config.blocking_threads())
                 .enable_all()
                 .build()
                 .expect("a runtime");

@@ -47,7 +47,18 @@ fn imports_point_down() {
     let layers: &[&[&str]] = &[
         &["world"],
         &["closed_form", "kernel", "particles", "command"],
-        &["error", "column", "ids", "integrator", "real", "double_double", "registry"],
+        &[
+            "error",
+            "base_times",
+            "column",
+            "forces",
+            "ids",
+            "integrator",
+            "real",
+            "double_double",
+            "registry",
+            "threads",
+        ],
     ];
     let layer = |module: &str| layers.iter().position(|modules| modules.contains(&module));
     for path in files("src", ".rs") {

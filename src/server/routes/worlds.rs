@@ -207,8 +207,9 @@ fn insert<R: WireReal>(
         damping_law: body.damping_law.map_or(default.damping_law, |Named(law)| law),
         max_step: body.max_step,
     };
-    let world = World::with_limits(settings, app.config.limits())
+    let mut world = World::with_limits(settings, app.config.limits())
         .map_err(|error| Problem::from_engine(error, Shape::Columns))?;
+    world.set_threads(&app.shared.threads);
     let answer = json::write(&Description::new(name, &world));
     app.worlds.insert(name, any(Arc::new(Slot::new(name, world, &app.shared)))).map_err(|refused| match refused {
         Refused::Exists => world_exists(name),

@@ -1,0 +1,126 @@
+//! The clock at which position and velocity of each particle hold.
+
+use crate::column::{self, Column};
+use crate::double_double::DoubleDouble;
+
+/// One base time for each particle. Many particles share one: those that were created, changed or forced between the
+/// same two advances. So each names its base time by four bytes, and what follows from a base time is computed once.
+#[derive(Debug, Clone)]
+pub(crate) struct BaseTimes {
+    /// Never empty.
+    distinct: Vec<Distinct>,
+    /// Which of them belongs to each particle.
+    of: Column<u32>,
+    /// Those that belong to no particle any more.
+    free: Vec<u32>,
+    /// The one that was last given to a particle.
+    last: u32,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Distinct {
+    time: DoubleDouble,
+    /// How many particles have it. Not kept while there is only one.
+    count: usize,
+}
+
+impl Default for BaseTimes {
+    fn default() -> Self {
+        Self::all_at(DoubleDouble::default())
+    }
+}
+
+impl BaseTimes {
+    pub(crate) fn all_at(time: DoubleDouble) -> Self {
+        Self { distinct: vec![Distinct { time, count: 0 }], of: Column::Uniform(0), free: Vec::new(), last: 0 }
+    }
+
+    pub(crate) fn get(&self, row: usize) -> DoubleDouble {
+        self.distinct[self.index(row)].time
+    }
+
+    /// Which of [`Self::distinct`] it has.
+    pub(crate) fn index(&self, row: usize) -> usize {
+        self.of.get(row) as usize
+    }
+
+    /// All distinct base times, and perhaps some that no particle has any more.
+    pub(crate) fn distinct(&self) -> impl ExactSizeIterator<Item = DoubleDouble> {
+        self.distinct.iter().map(|distinct| distinct.time)
+    }
+
+    pub(crate) fn set_all(&mut self, time: DoubleDouble) {
+        *self = Self::all_at(time);
+    }
+
+    /// Sets one of `len` base times.
+    pub(crate) fn set(&mut self, row: usize, time: DoubleDouble, len: usize) {
+        if matches!(self.of, Column::Uniform(_)) {
+            if self.distinct[0].time == time {
+                return;
+            }
+            self.promote(len);
+        }
+        let (old, new) = (self.of.get(row), self.find_or_add(time));
+        self.distinct[new as usize].count += 1;
+        self.of.set(row, new, len);
+        self.leave(old);
+        if self.distinct[new as usize].count == len {
+            self.set_all(time);
+        }
+    }
+
+    /// Appends `count` particles of one base time to `len` others.
+    pub(crate) fn extend(&mut self, len: usize, time: DoubleDouble, count: usize) {
+        if len == 0 {
+            return self.set_all(time);
+        }
+        if matches!(self.of, Column::Uniform(_)) {
+            if self.distinct[0].time == time || count == 0 {
+                return;
+            }
+            self.promote(len);
+        }
+        let new = self.find_or_add(time);
+        self.distinct[new as usize].count += count;
+        self.of.extend(len, &Column::Uniform(new), count);
+    }
+
+    pub(crate) fn swap_remove(&mut self, row: usize) {
+        if let Column::PerParticle(of) = &mut self.of {
+            let old = column::swap_remove(of, row);
+            self.leave(old);
+        }
+    }
+
+    fn promote(&mut self, len: usize) {
+        self.distinct[0].count = len;
+        self.of = Column::PerParticle(vec![0; len]);
+    }
+
+    fn find_or_add(&mut self, time: DoubleDouble) -> u32 {
+        if self.distinct[self.last as usize].time != time {
+            let distinct = Distinct { time, count: 0 };
+            let last = &mut self.distinct[self.last as usize];
+            self.last = if last.count == 0 {
+                *last = distinct;
+                self.last
+            } else if let Some(free) = self.free.pop() {
+                self.distinct[free as usize] = distinct;
+                free
+            } else {
+                self.distinct.push(distinct);
+                u32::try_from(self.distinct.len() - 1).expect("as many as particles, which are counted in 32 bits")
+            };
+        }
+        self.last
+    }
+
+    fn leave(&mut self, index: u32) {
+        let distinct = &mut self.distinct[index as usize];
+        distinct.count -= 1;
+        if distinct.count == 0 && index != self.last {
+            self.free.push(index);
+        }
+    }
+}

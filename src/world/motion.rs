@@ -1,0 +1,223 @@
+//! Where particles are at a clock: their bases, carried along the closed form.
+
+use std::ops::Range;
+
+use crate::closed_form::{Among, ClosedForm, Decay, Same, Terms, closed_forms, decays};
+use crate::column::Column;
+use crate::double_double::DoubleDouble;
+use crate::real::Real;
+use crate::world::World;
+
+/// Particles that are carried together: with all that carries them, they fit into the first cache.
+pub(super) const BLOCK: usize = 128;
+
+/// Some rows of the columns.
+#[derive(Debug, Clone)]
+pub(super) enum Rows<'a> {
+    Range(Range<usize>),
+    List(&'a [usize]),
+}
+
+impl<'a> Rows<'a> {
+    pub(super) fn len(&self) -> usize {
+        match self {
+            Self::Range(range) => range.len(),
+            Self::List(list) => list.len(),
+        }
+    }
+
+    pub(super) fn row(&self, index: usize) -> usize {
+        match self {
+            Self::Range(range) => range.start + index,
+            Self::List(list) => list[index],
+        }
+    }
+
+    pub(super) fn iter(&self) -> impl ExactSizeIterator<Item = usize> + use<'_, 'a> {
+        (0..self.len()).map(|index| self.row(index))
+    }
+
+    /// The same in pieces of at most a block.
+    pub(super) fn blocks(self) -> impl Iterator<Item = Rows<'a>> {
+        (0..self.len().div_ceil(BLOCK)).map(move |block| {
+            let (from, to) = (block * BLOCK, self.len().min((block + 1) * BLOCK));
+            match &self {
+                Rows::Range(range) => Rows::Range(range.start + from..range.start + to),
+                Rows::List(list) => Rows::List(&list[from..to]),
+            }
+        })
+    }
+}
+
+/// Appends the values of some rows.
+pub(super) fn copy_rows<T: Copy>(column: &[T], rows: &Rows<'_>, into: &mut Vec<T>) {
+    match rows {
+        Rows::Range(range) => into.extend_from_slice(&column[range.clone()]),
+        Rows::List(list) => into.extend(list.iter().map(|&row| column[row])),
+    }
+}
+
+/// How long each particle is carried.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Span {
+    /// From its base time to this clock.
+    To(DoubleDouble),
+    /// All of them by this many seconds.
+    By(f64),
+}
+
+/// Carries particles along the closed form. E, φ and ψ are computed once where many particles share damping and time.
+#[derive(Debug)]
+pub(super) struct Carrier {
+    span: Span,
+    /// Whether the force acts as well.
+    forced: bool,
+    /// The times of the distinct base times, or the one for all.
+    times: Vec<f64>,
+    /// What belongs to them, when all have the same damping and that is worth while; empty otherwise.
+    forms: Vec<ClosedForm>,
+    /// What carries all of them, if it is the same.
+    same: Option<Same>,
+    /// Whether the acceleration is, and set already.
+    uniform_acceleration: bool,
+    /// What carries a block otherwise.
+    own_forms: Vec<ClosedForm>,
+    terms: Terms,
+}
+
+impl Carrier {
+    /// For `count` particles in all.
+    pub(super) fn new<R: Real>(world: &World<R>, span: Span, forced: bool, count: usize) -> Self {
+        let particles = &world.particles;
+        let times: Vec<f64> = match span {
+            Span::To(clock) => particles.base_time.distinct().map(|base| (clock - base).hi).collect(),
+            Span::By(time) => vec![time],
+        };
+        let mut forms = Vec::new();
+        if let Column::Uniform(damping) = particles.damping
+            && times.len() <= count
+            && times != [0.0]
+        {
+            forms.resize(times.len(), ClosedForm::default());
+            closed_forms(world.level, Among::Uniform(Decay::of(damping.into())), &times, &mut forms);
+        }
+        let uniform = particles.uniform_acceleration(world.gravity()).filter(|_| !forced);
+        let same = match (forms.as_slice(), uniform) {
+            ([form], Some(a)) if particles.resting_count() == 0 => Some(Same::new(*form, a.map(Into::into))),
+            _ => None,
+        };
+        let mut terms = Terms::default();
+        if let (Some(a), None) = (uniform, &same) {
+            terms.set_accelerations(std::iter::repeat_n(a.map(Into::into), count.min(BLOCK)));
+        }
+        let uniform_acceleration = uniform.is_some();
+        Self { span, forced, times, forms, same, uniform_acceleration, own_forms: Vec::new(), terms }
+    }
+
+    /// Carries at most a block of rows, from the given positions and velocities.
+    pub(super) fn carry<R: Real>(&mut self, world: &World<R>, rows: &Rows<'_>, p: &mut [[R; 3]], v: &mut [[R; 3]]) {
+        if self.times == [0.0] {
+            return;
+        }
+        if let Some(same) = &self.same {
+            return same.carry(world.level, p, v);
+        }
+        if self.forms.is_empty() {
+            self.compute_forms(world, rows);
+            self.terms.set_forms(world.level, self.own_forms.iter().copied());
+        } else {
+            let (span, forms) = (self.span, &self.forms);
+            self.terms.set_forms(world.level, rows.iter().map(|row| forms[time_of(span, world, row)]));
+        }
+        if world.particles.resting_count() > 0 {
+            let resting = rows.iter().enumerate().filter(|(_, row)| world.particles.is_resting(*row));
+            resting.for_each(|(index, _)| self.terms.keep_still(index));
+        }
+        if !self.uniform_acceleration {
+            let acceleration = |row| if self.forced { world.driving(row) } else { world.acceleration(row) };
+            self.terms.set_accelerations(rows.iter().map(acceleration));
+        }
+        self.terms.carry(world.level, p, v);
+    }
+
+    /// E, φ and ψ of each row of a block.
+    fn compute_forms<R: Real>(&mut self, world: &World<R>, rows: &Rows<'_>) {
+        let times: Vec<f64> = rows.iter().map(|row| self.times[time_of(self.span, world, row)]).collect();
+        self.own_forms.resize(rows.len(), ClosedForm::default());
+        match &world.particles.damping {
+            Column::Uniform(damping) => {
+                let decay = Decay::of((*damping).into());
+                closed_forms(world.level, Among::Uniform(decay), &times, &mut self.own_forms);
+            }
+            Column::PerParticle(damping) => {
+                let dampings: Vec<f64> = rows.iter().map(|row| damping[row].into()).collect();
+                let mut rates = vec![Decay::default(); rows.len()];
+                decays(world.level, &dampings, &mut rates);
+                closed_forms(world.level, Among::Each(&rates), &times, &mut self.own_forms);
+            }
+        }
+    }
+}
+
+/// Which of the times a row has.
+fn time_of<R: Real>(span: Span, world: &World<R>, row: usize) -> usize {
+    match span {
+        Span::To(_) => world.particles.base_time.index(row),
+        Span::By(_) => 0,
+    }
+}
+
+impl<R: Real> World<R> {
+    /// The acceleration of a row without the share of the force.
+    pub(super) fn acceleration(&self, row: usize) -> [f64; 3] {
+        self.particles.acceleration(row, self.gravity()).map(Into::into)
+    }
+
+    /// The same with the share of the force: a + w F.
+    pub(super) fn driving(&self, row: usize) -> [f64; 3] {
+        let own = self.acceleration(row);
+        let (w, f): (f64, _) = (self.particles.inverse_mass.get(row).into(), self.particles.force.get(row));
+        std::array::from_fn(|k| own[k] + w * f[k].into())
+    }
+
+    /// Position and velocity of one row at the clock.
+    pub(super) fn now(&self, row: usize) -> ([R; 3], [R; 3]) {
+        let particles = &self.particles;
+        let (mut p, mut v) = ([particles.position[row]], [particles.velocity[row]]);
+        let time = (self.clock - particles.base_time.get(row)).hi;
+        if time != 0.0 && !particles.is_resting(row) {
+            let form = Decay::of(particles.damping.get(row).into()).over(time);
+            form.carry(self.level, self.acceleration(row), &mut p[0], &mut v[0]);
+        }
+        (p[0], v[0])
+    }
+
+    /// Stores what a read of now returns, with the clock as base time. Does nothing under a stepped integrator, whose
+    /// states always hold at the clock.
+    pub(super) fn rebase(&mut self, row: usize) {
+        let len = self.particles.len();
+        (self.particles.position[row], self.particles.velocity[row]) = self.now(row);
+        self.particles.base_time.set(row, self.clock, len);
+        self.particles.note_rest(row);
+    }
+
+    /// The same for many rows, none of them twice.
+    pub(super) fn rebase_many(&mut self, rows: &Rows<'_>) {
+        let count = rows.len();
+        if count < 16 {
+            return rows.iter().for_each(|row| self.rebase(row));
+        }
+        let (mut p, mut v) = (Vec::with_capacity(count), Vec::with_capacity(count));
+        copy_rows(&self.particles.position, rows, &mut p);
+        copy_rows(&self.particles.velocity, rows, &mut v);
+        let mut carrier = Carrier::new(self, Span::To(self.clock), false, count);
+        let ends = p.chunks_mut(BLOCK).zip(v.chunks_mut(BLOCK));
+        rows.clone().blocks().zip(ends).for_each(|(rows, (p, v))| carrier.carry(self, &rows, p, v));
+        let len = self.particles.len();
+        for (row, (p, v)) in rows.iter().zip(p.into_iter().zip(v)) {
+            (self.particles.position[row], self.particles.velocity[row]) = (p, v);
+            self.particles.base_time.set(row, self.clock, len);
+            self.particles.note_rest(row);
+        }
+    }
+}
