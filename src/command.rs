@@ -334,4 +334,21 @@ pub struct Advanced {
     pub deferred: usize,
     /// Particles that nothing can move: immovable, without velocity or acceleration.
     pub skipped: usize,
+    /// Accelerations, with the share of the forces, that moved the particles that are integrated.
+    pub accelerations: Values,
+    /// Damping factors that they took.
+    pub dampings: Values,
+    /// Particles that were looked at to be sure that every number stays finite; 0 when bounds on all of them told.
+    pub inspected: usize,
+}
+
+/// How many values of a property an advance used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Values {
+    /// None: it has no effect.
+    None,
+    /// The same for all.
+    One,
+    /// One for each particle.
+    Each,
 }

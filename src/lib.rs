@@ -48,7 +48,7 @@ mod world;
 
 pub use column::Column;
 pub use command::{
-    Advance, Advanced, Command, Configure, Mass, NewParticles, Outcome, Particle, Selection, Settings, gravity,
+    Advance, Advanced, Command, Configure, Mass, NewParticles, Outcome, Particle, Selection, Settings, Values, gravity,
 };
 pub use error::{Error, Field, Limit, Limits, Place, Quantity};
 pub use glam::{DVec3, Vec3};

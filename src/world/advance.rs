@@ -2,13 +2,15 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crate::command::{Advance, Advanced};
+use crate::column::Column;
+use crate::command::{Advance, Advanced, Values};
 use crate::double_double::DoubleDouble;
 use crate::error::{Error, Field, Limit, Quantity};
 use crate::forces::Acting;
 use crate::ids::ParticleId;
 use crate::integrator::Integrator;
 use crate::kernel::{self, Step};
+use crate::particles::zero;
 use crate::real::Real;
 use crate::world::bounds::Bounds;
 use crate::world::change::valid_max_step;
@@ -113,15 +115,17 @@ impl<R: Real> World<R> {
             return Err(Error::ClockOutOfRange);
         }
         let resting = self.particles.resting_count();
-        let integrated = match self.settings.integrator {
+        let (accelerations, dampings) = (self.accelerations_used(), self.dampings_used());
+        let (integrated, inspected) = match self.settings.integrator {
             Integrator::Exact => self.flow(plan, clock, cancelled)?,
             Integrator::NewtonEuler | Integrator::NewtonEulerQuadratic | Integrator::SemiImplicitEuler => {
-                self.step(plan, cancelled)?;
+                let inspected = self.step(plan, cancelled)?;
                 self.particles.note_rest_after_steps();
                 self.particles.base_time.set_all(clock);
-                self.particles.len() - resting
+                (self.particles.len() - resting, inspected)
             }
         };
+        let used = |values| if integrated == 0 { Values::None } else { values };
         self.particles.force.clear(&self.ids);
         self.bounds.force = 0.0;
         self.clock = clock;
@@ -135,12 +139,31 @@ impl<R: Real> World<R> {
             integrated,
             deferred: self.particles.len() - resting - integrated,
             skipped: resting,
+            accelerations: used(accelerations),
+            dampings: used(dampings),
+            inspected,
         })
     }
 
+    fn accelerations_used(&self) -> Values {
+        match self.particles.uniform_acceleration(self.gravity()).filter(|_| self.particles.force.none()) {
+            Some(uniform) if uniform == zero() => Values::None,
+            Some(_) => Values::One,
+            None => Values::Each,
+        }
+    }
+
+    fn dampings_used(&self) -> Values {
+        match self.particles.damping {
+            Column::Uniform(damping) if damping == R::ONE => Values::None,
+            Column::Uniform(_) => Values::One,
+            Column::PerParticle(_) => Values::Each,
+        }
+    }
+
     /// An advance under a stepped integrator. In place when bounds prove that it ends well and it is over at once;
-    /// otherwise the state before is kept, and put back when the advance is cancelled or diverges.
-    fn step(&mut self, plan: StepPlan, cancelled: &AtomicBool) -> Result<(), Error> {
+    /// otherwise the state before is kept, and put back when the advance is cancelled or diverges. How many were looked at.
+    fn step(&mut self, plan: StepPlan, cancelled: &AtomicBool) -> Result<usize, Error> {
         let step = Step { integrator: self.settings.integrator, h: R::nearest(plan.step) };
         self.factors.prepare(&self.particles.damping, self.settings.damping_law, step.h);
         let bounds = self.bounds.after_steps::<R>(plan).or_else(|| {
@@ -152,7 +175,8 @@ impl<R: Real> World<R> {
             && work <= WORK_IN_PLACE
         {
             self.bounds = bounds;
-            return self.run_steps(step, plan.steps, &NEVER_CANCELLED);
+            self.run_steps(step, plan.steps, &NEVER_CANCELLED)?;
+            return Ok(0);
         }
         let before = (self.particles.position.clone(), self.particles.velocity.clone());
         let result = self.run_steps(step, plan.steps, cancelled);
@@ -160,12 +184,13 @@ impl<R: Real> World<R> {
             Some(_) => Ok(()),
             None => self.first_divergence(step, plan.steps, &before, cancelled),
         });
-        if ended.is_err() {
+        if let Err(error) = ended {
             (self.particles.position, self.particles.velocity) = before;
-            return ended;
+            return Err(error);
         }
+        let inspected = if bounds.is_some() { 0 } else { self.particles.len() };
         self.bounds = bounds.unwrap_or_else(|| Bounds::of(&self.particles, self.gravity()));
-        Ok(())
+        Ok(inspected)
     }
 
     /// Moves position and velocity in rounds, between which the advance can be cancelled.
@@ -260,12 +285,14 @@ impl<R: Real> World<R> {
         unreachable!("the same steps end the same way, and what is not finite once stays so")
     }
 
-    /// An advance under the closed form: particles with a force move now, the others when they are read. How many moved.
+    /// An advance under the closed form: particles with a force move now, the others when they are read. How many moved, and
+    /// how many were looked at.
     ///
     /// In place when bounds prove that it ends well; otherwise everything is looked at before anything is written.
-    fn flow(&mut self, plan: StepPlan, clock: DoubleDouble, cancelled: &AtomicBool) -> Result<usize, Error> {
+    fn flow(&mut self, plan: StepPlan, clock: DoubleDouble, cancelled: &AtomicBool) -> Result<(usize, usize), Error> {
         let forced = self.forced_rows();
-        if !self.bounds.hold_until::<R>(clock) {
+        let holds = self.bounds.hold_until::<R>(clock);
+        if !holds {
             self.look_ahead(&forced, plan, clock, cancelled)?;
             self.bounds = Bounds::of(&self.particles, self.gravity());
             self.bounds.horizon = self.horizon(clock, plan.duration);
@@ -286,7 +313,7 @@ impl<R: Real> World<R> {
         if forced.len() == len {
             self.particles.base_time.set_all(clock);
         }
-        Ok(forced.len())
+        Ok((forced.len(), if holds { 0 } else { len }))
     }
 
     /// Rows on which a force acts that moves them, in ascending order of id where they are few.

@@ -31,5 +31,7 @@ mod readme;
 mod refusals;
 /// A service on a real socket, and a plain client.
 mod service;
+/// What a scene does not need is not done, and leaves no trace in its bits.
+mod skips;
 /// The tree itself.
 mod tidy;

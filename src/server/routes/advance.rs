@@ -132,7 +132,7 @@ impl AdvanceBody {
 
 impl<R: WireReal> AdvancedBody<R> {
     fn new(advanced: &Advanced, revision: u64, state: Option<wire::State<R>>) -> Self {
-        let Advanced { time, duration, steps, step, step_count, integrated, deferred, skipped } = *advanced;
+        let Advanced { time, duration, steps, step, step_count, integrated, deferred, skipped, .. } = *advanced;
         Self { time, duration, steps, step, step_count, integrated, deferred, skipped, revision, state }
     }
 }

@@ -1,0 +1,100 @@
+//! Which plots there are, and what each shows.
+
+use plotters::style::RGBColor;
+
+use crate::exact::{EAGER, TICK};
+use crate::plot::{Line, Plot};
+use crate::stepping::{BOOK, EXACT, EXACT_ONE, GROWTH, MANY, ONE, PEAK, SIXTY, STEPPING, STEPS, UPDATE};
+
+// The colours of Okabe and Ito, which people tell apart who see fewer of them.
+const BLACK: RGBColor = RGBColor(60, 60, 60);
+const BLUE: RGBColor = RGBColor(0, 114, 178);
+const RED: RGBColor = RGBColor(213, 94, 0);
+const GREEN: RGBColor = RGBColor(0, 158, 115);
+const GREY: RGBColor = RGBColor(140, 140, 140);
+
+const UNIFORM: &str = "uniform, damped";
+const EACH: &str = "per-particle, damped";
+const UNDAMPED: &str = "uniform, undamped";
+
+/// The first one is for the front page.
+pub(crate) const PLOTS: [Plot; 6] = [
+    Plot {
+        file: "stepping-double.svg",
+        title: "Time per particle and step, double",
+        caption: "Double precision, uniform, damped, one thread; lower is better. The book takes one pow for each \
+                  particle and step; the engine takes one for each distinct damping. Dashed is what the machine can \
+                  do: reading and writing position and velocity, and the adds and multiplies of a step in registers.",
+        x: "particles",
+        group: STEPPING.name,
+        lines: &stepping("double", UNIFORM),
+    },
+    Plot {
+        file: "stepping-single.svg",
+        title: "Time per particle and step, single",
+        caption: "The same in single precision: half the memory, and twice the numbers in a register.",
+        x: "particles",
+        group: STEPPING.name,
+        lines: &stepping("single", UNIFORM),
+    },
+    Plot {
+        file: "stepping-per-particle.svg",
+        title: "Time per particle and step, nothing shared",
+        caption: "Double precision, damped, every particle with an acceleration, a damping and a mass of its own. One \
+                  step reads them all; sixty steps read them once.",
+        x: "particles",
+        group: STEPPING.name,
+        lines: &stepping("double", EACH),
+    },
+    Plot {
+        file: "growth.svg",
+        title: "Time of one advance of 1/60 s, double",
+        caption: "Uniform, damped, one thread. Under `exact` an advance moves the clock, however many particles there \
+                  are; a read of one particle evaluates that one.",
+        x: "particles",
+        group: GROWTH.name,
+        lines: &[
+            Line { name: "the book", colour: BLACK, limit: false, of: ["double", UNIFORM, BOOK] },
+            Line { name: "newton_euler", colour: BLUE, limit: false, of: ["double", UNIFORM, ONE] },
+            Line { name: "exact", colour: GREEN, limit: false, of: ["double", UNIFORM, EXACT] },
+            Line { name: "exact, then one read", colour: RED, limit: false, of: ["double", UNIFORM, EXACT_ONE] },
+        ],
+    },
+    Plot {
+        file: "steps.svg",
+        title: "Time per particle and step, 10⁴ particles",
+        caption: "Damped, one thread. More steps in one advance cost less each, until only arithmetic is left.",
+        x: "steps of one advance",
+        group: STEPS.name,
+        lines: &[
+            Line { name: "double, per-particle", colour: RED, limit: false, of: ["double", EACH, MANY] },
+            Line { name: "double, uniform", colour: BLUE, limit: false, of: ["double", UNIFORM, MANY] },
+            Line { name: "single, per-particle", colour: GREEN, limit: false, of: ["single", EACH, MANY] },
+            Line { name: "single, uniform", colour: BLACK, limit: false, of: ["single", UNIFORM, MANY] },
+        ],
+    },
+    Plot {
+        file: "tick.svg",
+        title: "A tick of a game server, double",
+        caption: "1 % of the particles get a force, the world advances by 1/60 s, and all particles are read. `exact` \
+                  evaluates each particle from its last change; the eager loop moves and stores all at every tick.",
+        x: "particles",
+        group: TICK.name,
+        lines: &[
+            Line { name: "exact, damped", colour: GREEN, limit: false, of: ["double", UNIFORM, EXACT] },
+            Line { name: "eager, damped", colour: BLACK, limit: false, of: ["double", UNIFORM, EAGER] },
+            Line { name: "exact, undamped", colour: BLUE, limit: false, of: ["double", UNDAMPED, EXACT] },
+            Line { name: "eager, undamped", colour: GREY, limit: false, of: ["double", UNDAMPED, EAGER] },
+        ],
+    },
+];
+
+const fn stepping(precision: &'static str, scene: &'static str) -> [Line; 5] {
+    [
+        Line { name: "1 step per advance", colour: BLUE, limit: false, of: [precision, scene, ONE] },
+        Line { name: "limit: memory", colour: BLUE, limit: true, of: [precision, scene, UPDATE] },
+        Line { name: "60 steps per advance", colour: RED, limit: false, of: [precision, scene, SIXTY] },
+        Line { name: "limit: arithmetic", colour: RED, limit: true, of: [precision, scene, PEAK] },
+        Line { name: "the book", colour: BLACK, limit: false, of: [precision, scene, BOOK] },
+    ]
+}
