@@ -26,24 +26,23 @@ pub(crate) struct Ids {
 #[derive(Debug, Clone)]
 struct Table {
     id_of: Vec<u64>,
-    /// Rows by `id / PAGE`: five to six bytes for an id, and ids in order, where a map of ids would take forty.
+    /// Rows by `id / PAGE`: five bytes for an id, also where many of a page are gone, and ids in order.
     pages: BTreeMap<u64, Page>,
 }
 
-#[derive(Debug, Clone)]
+/// The rows of the ids of a page that are there, in order of id.
+#[derive(Debug, Clone, Default)]
 struct Page {
-    count: u32,
-    rows: Box<[u32; PAGE_ROWS]>,
+    /// A bit for each id.
+    present: u64,
+    rows: Vec<u32>,
 }
 
-/// Few enough that a page with a single particle left is no burden, many enough that a full one costs five bytes each.
-const PAGE: u64 = 32;
-const PAGE_ROWS: usize = 32;
-const NO_ROW: u32 = u32::MAX;
+const PAGE: u64 = 64;
 
 impl Ids {
     /// The most rows that a world can have.
-    pub(crate) const LEN_MAX: u64 = NO_ROW as u64;
+    pub(crate) const LEN_MAX: u64 = u32::MAX as u64;
 
     pub(crate) fn len(&self) -> usize {
         match &self.table {
@@ -80,11 +79,7 @@ impl Ids {
         let pages = self.table.iter().flat_map(move |table| table.pages.range(from / PAGE..));
         identity
             .map(|id| (id, u32::try_from(id).expect("rows are counted in 32 bits")))
-            .chain(
-                pages
-                    .flat_map(|(page, rows)| (page * PAGE..).zip(rows.rows.iter().copied()))
-                    .filter(move |&(id, row)| row != NO_ROW && id >= from),
-            )
+            .chain(pages.flat_map(|(page, rows)| rows.entries(page * PAGE)).filter(move |(id, _)| *id >= from))
             .map(|(id, row)| (ParticleId(id), row as usize))
     }
 
@@ -119,13 +114,9 @@ impl Ids {
 }
 
 impl Table {
-    fn slot(id: u64) -> usize {
-        usize::try_from(id % PAGE).expect("less than a page")
-    }
-
     fn row(&self, id: u64) -> Option<usize> {
-        let row = self.pages.get(&(id / PAGE))?.rows[Self::slot(id)];
-        (row != NO_ROW).then_some(row as usize)
+        let page = self.pages.get(&(id / PAGE))?;
+        page.contains(id).then(|| page.rows[page.rank(id)] as usize)
     }
 
     fn push(&mut self, id: u64) {
@@ -136,20 +127,44 @@ impl Table {
     }
 
     fn set_row(&mut self, id: u64, row: u32) {
-        let page =
-            self.pages.entry(id / PAGE).or_insert_with(|| Page { count: 0, rows: Box::new([NO_ROW; PAGE_ROWS]) });
-        let slot = &mut page.rows[Self::slot(id)];
-        page.count += u32::from(*slot == NO_ROW);
-        *slot = row;
+        let page = self.pages.entry(id / PAGE).or_default();
+        let rank = page.rank(id);
+        if page.contains(id) {
+            page.rows[rank] = row;
+        } else {
+            page.present |= Page::bit(id);
+            page.rows.insert(rank, row);
+        }
     }
 
     fn forget(&mut self, id: u64) {
         let page = self.pages.get_mut(&(id / PAGE)).expect("the id was found");
-        page.rows[Self::slot(id)] = NO_ROW;
-        page.count -= 1;
-        if page.count == 0 {
+        page.rows.remove(page.rank(id));
+        page.present &= !Page::bit(id);
+        if page.present == 0 {
             self.pages.remove(&(id / PAGE));
+        } else if page.rows.len() + 8 <= page.rows.capacity() {
+            page.rows.shrink_to_fit();
         }
+    }
+}
+
+impl Page {
+    fn bit(id: u64) -> u64 {
+        1 << (id % PAGE)
+    }
+
+    fn contains(&self, id: u64) -> bool {
+        self.present & Self::bit(id) != 0
+    }
+
+    /// How many ids of the page are there before this one.
+    fn rank(&self, id: u64) -> usize {
+        (self.present & (Self::bit(id) - 1)).count_ones() as usize
+    }
+
+    fn entries(&self, first: u64) -> impl Iterator<Item = (u64, u32)> {
+        (first..first + PAGE).filter(|id| self.contains(*id)).zip(self.rows.iter().copied())
     }
 }
 

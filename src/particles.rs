@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use fearless_simd::{Level, Simd, dispatch};
+
 use crate::base_times::BaseTimes;
 use crate::column::{self, Column};
 use crate::double_double::DoubleDouble;
@@ -158,7 +160,7 @@ impl<R: Real> Particles<R> {
     }
 
     /// Computes the acceleration of some rows, with the share of the force.
-    pub(crate) fn fill_acceleration(&self, gravity: [R; 3], rows: Range<usize>, into: &mut [[R; 3]]) {
+    pub(crate) fn fill_acceleration(&self, level: Level, gravity: [R; 3], rows: Range<usize>, into: &mut [[R; 3]]) {
         match (&self.has_own_acceleration, &self.own_acceleration) {
             (Column::Uniform(true), Column::PerParticle(own)) => into.copy_from_slice(&own[rows.clone()]),
             (Column::Uniform(true), Column::Uniform(own)) => into.fill(*own),
@@ -167,17 +169,17 @@ impl<R: Real> Particles<R> {
                 rows.clone().zip(&mut *into).for_each(|(row, a)| *a = self.acceleration(row, gravity));
             }
         }
-        let add = |a: &mut [R; 3], f: [R; 3], w: R| *a = std::array::from_fn(|k| a[k] + f[k] * w);
         match (self.force.column(), &self.inverse_mass) {
             (Column::Uniform(f), _) if *f == zero() => {}
             (Column::PerParticle(f), Column::PerParticle(w)) => {
-                let forces = f[rows.clone()].iter().zip(&w[rows]);
-                into.iter_mut().zip(forces).for_each(|(a, (f, w))| add(a, *f, *w));
+                dispatch!(level, simd => add_each(simd, into, &f[rows.clone()], &w[rows]));
             }
-            (Column::PerParticle(f), Column::Uniform(w)) => {
-                into.iter_mut().zip(&f[rows]).for_each(|(a, f)| add(a, *f, *w));
+            (f, w) => {
+                for (a, row) in into.iter_mut().zip(rows) {
+                    let (f, w) = (f.get(row), w.get(row));
+                    *a = std::array::from_fn(|k| a[k] + f[k] * w);
+                }
             }
-            (Column::Uniform(f), w) => into.iter_mut().zip(rows).for_each(|(a, row)| add(a, *f, w.get(row))),
         }
     }
 
@@ -207,6 +209,17 @@ impl<R: Real> Particles<R> {
         self.force.swap_remove(row);
         self.base_time.swap_remove(row);
         self.resting.swap_remove(row);
+    }
+}
+
+/// a + w F, the share of the force of each.
+#[expect(clippy::inline_always, reason = "a call that is not inlined leaves the instruction set of its caller")]
+#[inline(always)]
+fn add_each<S: Simd, R: Real>(_: S, a: &mut [[R; 3]], f: &[[R; 3]], w: &[R]) {
+    for ((a, f), w) in a.iter_mut().zip(f).zip(w) {
+        for k in 0..3 {
+            a[k] = a[k] + f[k] * *w;
+        }
     }
 }
 

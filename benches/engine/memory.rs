@@ -72,7 +72,9 @@ fn grown<R: Number>(way: &str, n: usize) -> f64 {
         let mut order: Vec<ParticleId> = (0..n as u64).map(ParticleId).collect();
         Random(6).shuffle(&mut order);
         order.truncate(n / 2);
-        order.into_iter().for_each(|id| world.remove(id).expect("it exists"));
+        for id in order {
+            world.remove(id).expect("it exists");
+        }
     }
     let after = resident_set().expect("the parent looked");
     (after - before) / world.particle_count() as f64

@@ -5,6 +5,7 @@ use plotters::style::RGBColor;
 use crate::exact::{EAGER, TICK};
 use crate::plot::{Line, Plot};
 use crate::stepping::{BOOK, EXACT, EXACT_ONE, GROWTH, MANY, ONE, PEAK, SIXTY, STEPPING, STEPS, UPDATE};
+use crate::threads::{ONE as ONE_THREAD, THREADS, TWO as TWO_THREADS};
 
 // The colours of Okabe and Ito, which people tell apart who see fewer of them.
 const BLACK: RGBColor = RGBColor(60, 60, 60);
@@ -16,9 +17,11 @@ const GREY: RGBColor = RGBColor(140, 140, 140);
 const UNIFORM: &str = "uniform, damped";
 const EACH: &str = "per-particle, damped";
 const UNDAMPED: &str = "uniform, undamped";
+const ONE_STEP: &str = "uniform, damped, 1 step";
+const SIXTY_STEPS: &str = "uniform, damped, 60 steps";
 
 /// The first one is for the front page.
-pub(crate) const PLOTS: [Plot; 6] = [
+pub(crate) const PLOTS: [Plot; 7] = [
     Plot {
         file: "stepping-double.svg",
         title: "Time per particle and step, double",
@@ -71,6 +74,19 @@ pub(crate) const PLOTS: [Plot; 6] = [
             Line { name: "double, uniform", colour: BLUE, limit: false, of: ["double", UNIFORM, MANY] },
             Line { name: "single, per-particle", colour: GREEN, limit: false, of: ["single", EACH, MANY] },
             Line { name: "single, uniform", colour: BLACK, limit: false, of: ["single", UNIFORM, MANY] },
+        ],
+    },
+    Plot {
+        file: "threads.svg",
+        title: "One thread and two, double",
+        caption: "Uniform, damped. Below 131,072 particle-steps a second thread is not woken.",
+        x: "particles",
+        group: THREADS.name,
+        lines: &[
+            Line { name: "1 step, 1 thread", colour: BLUE, limit: false, of: ["double", ONE_STEP, ONE_THREAD] },
+            Line { name: "1 step, 2 threads", colour: GREEN, limit: false, of: ["double", ONE_STEP, TWO_THREADS] },
+            Line { name: "60 steps, 1 thread", colour: RED, limit: false, of: ["double", SIXTY_STEPS, ONE_THREAD] },
+            Line { name: "60 steps, 2 threads", colour: BLACK, limit: false, of: ["double", SIXTY_STEPS, TWO_THREADS] },
         ],
     },
     Plot {

@@ -6,8 +6,8 @@ use crate::compare::{Bench, Case, Cell, Column, Contender, Group};
 use crate::machine::{self, Number};
 use crate::scene::{STEP, Scene, Shape};
 
-const ONE: &str = "1 thread";
-const TWO: &str = "2 threads";
+pub(crate) const ONE: &str = "1 thread";
+pub(crate) const TWO: &str = "2 threads";
 const UPDATE_ONE: &str = "in-place update, 1 thread";
 const UPDATE_TWO: &str = "in-place update, 2 threads";
 

@@ -97,7 +97,7 @@ impl<R: Real> World<R> {
             Driving::Column(column) => Acceleration::Each(column.as_flattened()),
             Driving::Each => {
                 let filled = room(&mut scratch.acceleration, len);
-                self.particles.fill_acceleration(self.gravity(), rows.clone(), filled);
+                self.particles.fill_acceleration(self.level, self.gravity(), rows.clone(), filled);
                 Acceleration::Each(filled.as_flattened())
             }
         };
