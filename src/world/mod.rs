@@ -380,7 +380,7 @@ impl<R: Real> World<R> {
     }
 
     /// Appends ids, positions and velocities of up to `limit` particles, in ascending order of id, from the first id that
-    /// is at least `first`. The fastest way to read many: under [`Integrator::Exact`] they are evaluated in vector
+    /// is at least `first`. The fastest way to read many: under [`exact`](crate::Integrator::Exact) they are evaluated in vector
     /// registers, under the others copied.
     ///
     /// ```
