@@ -44,9 +44,17 @@ impl BaseTimes {
         self.of.get(row) as usize
     }
 
-    /// All distinct base times, and perhaps some that no particle has any more.
+    /// Which base times there are, in the order of [`Self::index`]; some that no particle has any more among them.
     pub(crate) fn distinct(&self) -> impl ExactSizeIterator<Item = DoubleDouble> {
         self.distinct.iter().map(|distinct| distinct.time)
+    }
+
+    /// The first of those that particles have.
+    pub(crate) fn oldest(&self) -> DoubleDouble {
+        let is_uniform = matches!(self.of, Column::Uniform(_));
+        let live =
+            self.distinct.iter().filter(|distinct| is_uniform || distinct.count > 0).map(|distinct| distinct.time);
+        live.reduce(|a, b| if (b - a).hi < 0.0 { b } else { a }).unwrap_or_default()
     }
 
     pub(crate) fn set_all(&mut self, time: DoubleDouble) {
@@ -89,8 +97,28 @@ impl BaseTimes {
     pub(crate) fn swap_remove(&mut self, row: usize) {
         if let Column::PerParticle(of) = &mut self.of {
             let old = column::swap_remove(of, row);
+            let len = of.len();
             self.leave(old);
+            if self.distinct.len() > 2 * len + 64 {
+                self.forget_unused();
+            }
         }
+    }
+
+    /// Gives back what was left by particles that are gone.
+    fn forget_unused(&mut self) {
+        let Column::PerParticle(of) = &mut self.of else { return };
+        let mut places = vec![None; self.distinct.len()];
+        let mut distinct = Vec::new();
+        for index in of.iter_mut().chain([&mut self.last]) {
+            let place = *places[*index as usize].get_or_insert_with(|| {
+                distinct.push(self.distinct[*index as usize]);
+                u32::try_from(distinct.len() - 1).expect("fewer than before")
+            });
+            *index = place;
+        }
+        self.distinct = distinct;
+        self.free = Vec::new();
     }
 
     fn promote(&mut self, len: usize) {
@@ -121,6 +149,58 @@ impl BaseTimes {
         distinct.count -= 1;
         if distinct.count == 0 && index != self.last {
             self.free.push(index);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::{BaseTimes, DoubleDouble};
+
+    proptest! {
+        /// Against the plainest model: a list of times.
+        #[test]
+        fn agrees_with_a_list(commands in prop::collection::vec((0u8..5, any::<usize>(), 1usize..40), 1..200)) {
+            let (mut times, mut model, mut clock) = (BaseTimes::default(), Vec::<f64>::new(), 0.0);
+            for (what, at, count) in commands {
+                let now = DoubleDouble::from(clock);
+                match what {
+                    0 => {
+                        times.extend(model.len(), now, count);
+                        model.extend(std::iter::repeat_n(clock, count));
+                    }
+                    1 => clock += 1.0,
+                    2 if !model.is_empty() => {
+                        let row = at % model.len();
+                        times.set(row, now, model.len());
+                        model[row] = clock;
+                    }
+                    3 => (0..count).for_each(|k| {
+                        if !model.is_empty() {
+                            let row = (at >> 1).wrapping_add(k) % model.len();
+                            times.swap_remove(row);
+                            model.swap_remove(row);
+                        }
+                    }),
+                    _ => {
+                        // Each at a time of its own.
+                        for row in 0..model.len() {
+                            clock += 1.0;
+                            times.set(row, DoubleDouble::from(clock), model.len());
+                            model[row] = clock;
+                        }
+                    }
+                }
+                for (row, time) in model.iter().enumerate() {
+                    prop_assert_eq!(times.get(row).hi, *time);
+                }
+                if let Some(oldest) = model.iter().copied().reduce(f64::min) {
+                    prop_assert_eq!(times.oldest().hi, oldest);
+                }
+                prop_assert!(times.distinct().len() <= 2 * model.len() + 66, "{}", times.distinct().len());
+            }
         }
     }
 }

@@ -9,6 +9,8 @@ use crate::real::Real;
 pub(crate) struct Forces<R: Real> {
     sum: Column<[R; 3]>,
     acting: Acting,
+    /// Advances since the last one with a force.
+    idle: u8,
 }
 
 /// On which particles a force acts.
@@ -20,9 +22,12 @@ pub(crate) enum Acting {
     Many,
 }
 
+/// A game that pushes every few ticks keeps its column.
+const IDLE_MAX: u8 = 16;
+
 impl<R: Real> Forces<R> {
     pub(crate) fn new() -> Self {
-        Self { sum: Column::Uniform([R::ZERO; 3]), acting: Acting::Few(Vec::new()) }
+        Self { sum: Column::Uniform([R::ZERO; 3]), acting: Acting::Few(Vec::new()), idle: 0 }
     }
 
     pub(crate) fn get(&self, row: usize) -> [R; 3] {
@@ -47,6 +52,7 @@ impl<R: Real> Forces<R> {
 
     /// The same sum for every particle, where one value stands for all.
     pub(crate) fn set_all(&mut self, sum: [R; 3]) {
+        self.idle = 0;
         self.sum = Column::Uniform(sum);
         self.acting = if sum == [R::ZERO; 3] { Acting::Few(Vec::new()) } else { Acting::Many };
     }
@@ -74,9 +80,11 @@ impl<R: Real> Forces<R> {
         self.sum.swap_remove(row);
     }
 
-    /// All zero again. The column is kept for the next forces, and given back once an advance went by without one.
+    /// All zero again. The column is kept for the next forces, and given back after some advances without one.
     pub(crate) fn clear(&mut self, ids: &Ids) {
+        self.idle = if self.none() { self.idle + 1 } else { 0 };
         match (&mut self.sum, &mut self.acting) {
+            (Column::PerParticle(_), Acting::Few(few)) if few.is_empty() && self.idle < IDLE_MAX => {}
             (Column::PerParticle(sum), Acting::Few(few)) if !few.is_empty() => {
                 for row in few.drain(..).filter_map(|id| ids.row(id)) {
                     sum[row] = [R::ZERO; 3];

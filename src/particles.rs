@@ -188,13 +188,17 @@ impl<R: Real> Particles<R> {
         self.force.get(row) != zero() && self.inverse_mass.get(row) != R::ZERO
     }
 
-    /// Sets `immovable_count` to what the inverse masses say.
-    pub(crate) fn count_immovable(&mut self) {
-        self.immovable_count = match &self.inverse_mass {
-            Column::Uniform(w) if *w == R::ZERO => self.len(),
-            Column::Uniform(_) => 0,
-            Column::PerParticle(w) => w.iter().filter(|w| **w == R::ZERO).count(),
-        };
+    /// Sets the inverse mass of all.
+    pub(crate) fn set_inverse_masses(&mut self, w: R) {
+        self.inverse_mass = Column::Uniform(w);
+        self.immovable_count = if w == R::ZERO { self.len() } else { 0 };
+    }
+
+    /// Sets the inverse mass of one row.
+    pub(crate) fn set_inverse_mass(&mut self, row: usize, w: R) {
+        let was = usize::from(self.inverse_mass.get(row) == R::ZERO);
+        self.immovable_count = self.immovable_count - was + usize::from(w == R::ZERO);
+        self.inverse_mass.set(row, w, self.position.len());
     }
 
     pub(crate) fn swap_remove(&mut self, row: usize) {

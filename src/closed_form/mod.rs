@@ -301,7 +301,6 @@ fn horner<L: Lanes, const N: usize>(x: L, coefficients: &[f64; N]) -> L {
 /// ln x of a positive double, to about 100 bits: x = m 2ᵉ with m within √½ and √2, ln m = 2 artanh((m - 1) / (m + 1)).
 #[inline(always)]
 fn ln<L: Lanes>(x: L) -> DoubleDouble<L> {
-    const TWO_52: f64 = 4_503_599_627_370_496.0;
     let is_subnormal = x.is_below(f64::MIN_POSITIVE);
     let normal = L::choose(is_subnormal, x * TWO_64, x);
     let e = normal.exponent_bits_in(TWO_52) + -TWO_52 - L::choose(is_subnormal, x.splat(1087.0), x.splat(1023.0));
@@ -374,6 +373,7 @@ fn phi2_series<L: Lanes>(z: DoubleDouble<L>) -> DoubleDouble<L> {
     everywhere(z.hi, DoubleDouble::new(0.5, 0.0)) - z * everywhere(z.hi, SIXTH) + DoubleDouble { hi: tail, lo: zero }
 }
 
+const TWO_52: f64 = 4_503_599_627_370_496.0;
 const TWO_64: f64 = 18_446_744_073_709_552_000.0;
 
 /// x = m 2ᵉ with 1 <= m < 2, of a positive double.
@@ -401,6 +401,10 @@ fn round_scaled(x: DoubleDouble, exponent: i32) -> f64 {
     // Count in units of the smallest double, 2⁻¹⁰⁷⁴, where rounding is to a whole number.
     let scale = power_of_two((exponent + 1074).min(900));
     let (hi, lo) = (x.hi * scale, x.lo * scale);
+    if hi >= TWO_52 {
+        // Normal after all, and rounded already.
+        return hi * power_of_two(-1000) * power_of_two(-74);
+    }
     let mut units = (hi + ROUND) - ROUND;
     let rest = (hi - units) + lo;
     if rest > 0.5 {

@@ -298,6 +298,9 @@ impl<R: Real> World<R> {
             self.bounds.horizon = self.horizon(clock, plan.duration);
         }
         let len = self.particles.len();
+        if forced.is_empty() {
+            return Ok((0, if holds { 0 } else { len }));
+        }
         let mut forces = Forced::new(self, forced.len(), plan.duration);
         let (mut p, mut v) = (Vec::new(), Vec::new());
         for rows in Rows::List(&forced).blocks() {

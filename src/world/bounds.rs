@@ -40,11 +40,10 @@ impl Default for Bounds {
 
 impl Bounds {
     pub(super) fn of<R: Real>(particles: &Particles<R>, gravity: [R; 3]) -> Self {
-        let oldest = particles.base_time.distinct().reduce(|a, b| if (b - a).hi < 0.0 { b } else { a });
         let mut bounds = Self {
             acceleration: magnitude(gravity),
             force: particles.force.column().entries().map(|(_, force)| magnitude(force)).fold(0.0, f64::max),
-            oldest: oldest.unwrap_or_default(),
+            oldest: particles.base_time.oldest(),
             ..Self::default()
         };
         for row in 0..particles.len() {
@@ -78,11 +77,10 @@ impl Bounds {
         let velocity = (self.velocity + acceleration * t) * slack;
         let position = (self.position + velocity * t) * slack;
         let finite = 0.25 * R::LARGEST;
-        (slack < 2.0 && velocity < finite && position < finite && acceleration < finite).then_some(Self {
-            position,
-            velocity,
-            ..*self
-        })
+        // The longer position update takes the square of a step, whatever it is multiplied with.
+        let square = plan.step * plan.step;
+        let holds = [velocity, position, acceleration, square].into_iter().all(|bound| bound < finite);
+        (slack < 2.0 && holds).then_some(Self { position, velocity, horizon: None, ..*self })
     }
 
     /// Whether an advance to this clock under the closed form surely ends with finite numbers: at most half the largest,

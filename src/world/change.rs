@@ -57,8 +57,8 @@ impl<R: Real> World<R> {
         let rows = self.rows(ids)?;
         let position = position.map(|column| vectors(column, Field::Position, rows.len())).transpose()?;
         let velocity = velocity.map(|column| vectors(column, Field::Velocity, rows.len())).transpose()?;
+        self.rebase_many(&Rows::List(&rows));
         for (i, &row) in rows.iter().enumerate() {
-            self.rebase(row);
             if let Some(position) = &position {
                 self.particles.position[row] = position.get(i);
             }
@@ -96,9 +96,12 @@ impl<R: Real> World<R> {
         assign(&mut particles.has_own_acceleration, has_own, &rows, every, len);
         assign(&mut particles.own_acceleration, own, &rows, every, len);
         assign(&mut particles.damping, damping, &rows, every, len);
-        if let Some(inverse_mass) = inverse_mass {
-            assign(&mut particles.inverse_mass, Some(inverse_mass), &rows, every, len);
-            particles.count_immovable();
+        match inverse_mass {
+            None => {}
+            Some(Column::Uniform(w)) if every => particles.set_inverse_masses(w),
+            Some(column) => {
+                rows.iter().enumerate().for_each(|(i, &row)| particles.set_inverse_mass(row, column.get(i)));
+            }
         }
         for &row in &rows {
             self.particles.note_rest(row);
@@ -123,21 +126,23 @@ impl<R: Real> World<R> {
             self.bounds.force = self.bounds.force.max(magnitude(sum));
             return Ok(Outcome::Changed { count: len });
         }
-        let mut before = Vec::with_capacity(rows.len());
+        let largest = force.entries().map(|(_, force)| magnitude(force)).fold(0.0, f64::max);
+        // A particle may be named by all of them.
+        #[expect(clippy::cast_precision_loss, reason = "an estimate")]
+        let most = self.bounds.force + largest * rows.len() as f64;
+        let may_overflow = most >= 0.5 * R::LARGEST;
+        let before = may_overflow.then(|| self.particles.force.clone());
         for (i, &row) in rows.iter().enumerate() {
-            let (id, old) = (self.ids.id(row), self.particles.force.get(row));
-            let sum = add(old, force.get(i));
-            if !sum.iter().all(|x| x.is_finite()) {
-                let error = self.overflow(row, Quantity::Force, Field::Force, &force, i);
-                for (&row, (id, old)) in rows.iter().zip(before).rev() {
-                    self.particles.force.set(row, id, old, len);
-                }
-                return Err(error);
+            let sum = add(self.particles.force.get(row), force.get(i));
+            if let Some(before) = &before
+                && !sum.iter().all(|x| x.is_finite())
+            {
+                self.particles.force = before.clone();
+                return Err(self.overflow(row, Quantity::Force, Field::Force, &force, i));
             }
-            before.push((id, old));
-            self.particles.force.set(row, id, sum, len);
-            self.bounds.force = self.bounds.force.max(magnitude(sum));
+            self.particles.force.set(row, self.ids.id(row), sum, len);
         }
+        self.bounds.force = most;
         Ok(Outcome::Changed { count: rows.len() })
     }
 

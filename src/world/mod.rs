@@ -366,7 +366,7 @@ impl<R: Real> World<R> {
             if at == rows.len() {
                 let limit = if rows.is_empty() { SHORT } else { motion::BLOCK };
                 if rows.len() == SHORT {
-                    carrier = Carrier::new(self, Span::To(self.clock), false, self.particles.len());
+                    carrier = Carrier::new(self, Span::To(self.clock), false, motion::BLOCK);
                 }
                 (rows, at) = (every.by_ref().take(limit).collect(), 0);
                 let list: Vec<usize> = rows.iter().map(|(_, row)| *row).collect();

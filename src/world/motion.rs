@@ -72,9 +72,10 @@ pub(super) struct Carrier {
     span: Span,
     /// Whether the force acts as well.
     forced: bool,
-    /// The times of the distinct base times, or the one for all.
-    times: Vec<f64>,
-    /// What belongs to them, when all have the same damping and that is worth while; empty otherwise.
+    /// Nobody is carried at all.
+    still: bool,
+    /// E, φ and ψ of each distinct base time, when all have the same damping and there are no more of them than particles
+    /// to carry; empty otherwise.
     forms: Vec<ClosedForm>,
     /// What carries all of them, if it is the same.
     same: Option<Same>,
@@ -89,14 +90,18 @@ impl Carrier {
     /// For `count` particles in all.
     pub(super) fn new<R: Real>(world: &World<R>, span: Span, forced: bool, count: usize) -> Self {
         let particles = &world.particles;
-        let times: Vec<f64> = match span {
-            Span::To(clock) => particles.base_time.distinct().map(|base| (clock - base).hi).collect(),
-            Span::By(time) => vec![time],
-        };
+        let mut times = Vec::new();
+        match span {
+            Span::To(clock) if particles.base_time.distinct().len() <= count => {
+                times.extend(particles.base_time.distinct().map(|base| (clock - base).hi));
+            }
+            Span::To(_) => {}
+            Span::By(time) => times.push(time),
+        }
+        let still = times == [0.0];
         let mut forms = Vec::new();
         if let Column::Uniform(damping) = particles.damping
-            && times.len() <= count
-            && times != [0.0]
+            && !still
         {
             forms.resize(times.len(), ClosedForm::default());
             closed_forms(world.level, Among::Uniform(Decay::of(damping.into())), &times, &mut forms);
@@ -111,12 +116,12 @@ impl Carrier {
             terms.set_accelerations(std::iter::repeat_n(a.map(Into::into), count.min(BLOCK)));
         }
         let uniform_acceleration = uniform.is_some();
-        Self { span, forced, times, forms, same, uniform_acceleration, own_forms: Vec::new(), terms }
+        Self { span, forced, still, forms, same, uniform_acceleration, own_forms: Vec::new(), terms }
     }
 
     /// Carries at most a block of rows, from the given positions and velocities.
     pub(super) fn carry<R: Real>(&mut self, world: &World<R>, rows: &Rows<'_>, p: &mut [[R; 3]], v: &mut [[R; 3]]) {
-        if self.times == [0.0] {
+        if self.still {
             return;
         }
         if let Some(same) = &self.same {
@@ -142,7 +147,10 @@ impl Carrier {
 
     /// E, φ and ψ of each row of a block.
     fn compute_forms<R: Real>(&mut self, world: &World<R>, rows: &Rows<'_>) {
-        let times: Vec<f64> = rows.iter().map(|row| self.times[time_of(self.span, world, row)]).collect();
+        let times: Vec<f64> = match self.span {
+            Span::To(clock) => rows.iter().map(|row| (clock - world.particles.base_time.get(row)).hi).collect(),
+            Span::By(time) => vec![time; rows.len()],
+        };
         self.own_forms.resize(rows.len(), ClosedForm::default());
         match &world.particles.damping {
             Column::Uniform(damping) => {
@@ -201,7 +209,7 @@ impl<R: Real> World<R> {
         self.particles.note_rest(row);
     }
 
-    /// The same for many rows, none of them twice.
+    /// The same for many rows.
     pub(super) fn rebase_many(&mut self, rows: &Rows<'_>) {
         let count = rows.len();
         if count < 16 {

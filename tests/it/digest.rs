@@ -1,8 +1,8 @@
 //! The digest of a world: equal if and only if everything that determines its future is.
 
 use pointmass::{
-    Advance, Column, Command, Configure, DampingLaw, Digest, Integrator, Limits, Mass, NewParticles, Particle,
-    ParticleId, Real, Selection, Settings, World,
+    Advance, Advanced, Column, Command, Configure, DampingLaw, Digest, Integrator, Limits, Mass, NewParticles, Outcome,
+    Particle, ParticleId, Real, Selection, Settings, Values, World,
 };
 use proptest::prelude::*;
 use serde_json::json;
@@ -216,6 +216,16 @@ fn any_command<R: Real>(random: &mut Random, ids: &mut Vec<ParticleId>) -> Comma
     }
 }
 
+/// How many values were held is all in which a report may tell one form from the other.
+fn without_shape(outcome: Outcome) -> Outcome {
+    match outcome {
+        Outcome::Advanced(advanced) => {
+            Outcome::Advanced(Advanced { accelerations: Values::None, dampings: Values::None, ..advanced })
+        }
+        Outcome::Created { .. } | Outcome::Changed { .. } | Outcome::Configured => outcome,
+    }
+}
+
 /// Three worlds with the same commands: one that is never read, one that is read all the time, and one in which every
 /// value is given for each particle.
 fn check_same_commands<R: Real>(seeds: &[u64]) -> Result<(), TestCaseError> {
@@ -225,8 +235,9 @@ fn check_same_commands<R: Real>(seeds: &[u64]) -> Result<(), TestCaseError> {
         let mut ids: Vec<ParticleId> = read.particles().map(|state| state.id).collect();
         let command = any_command(random, &mut ids);
         let outcome = read.apply(&command);
-        prop_assert_eq!(each.apply(&per_particle(&command, &each)), outcome, "{:?}", command);
         prop_assert_eq!(silent.apply(&command), outcome, "{:?}", command);
+        let seen = each.apply(&per_particle(&command, &each)).map(without_shape);
+        prop_assert_eq!(seen, outcome.map(without_shape), "{:?}", command);
         let states = read.particles().filter(|_| random.below(2) == 0).filter(|state| read.particle(state.id).is_ok());
         prop_assert!(states.count() <= read.particle_count());
         prop_assert_eq!(read.digest(), each.digest(), "for each particle, {:?}", command);

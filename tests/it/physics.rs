@@ -1048,6 +1048,17 @@ fn check_refusals<R: Real>(integrator: Integrator) {
     }
 }
 
+/// The longer position update takes the square of a step, which is not finite long before a step is not.
+#[test]
+fn the_square_of_a_step_is_finite_or_refused() {
+    let mut world = world::<f32>(Integrator::NewtonEulerQuadratic, &[Particle::default()]);
+    let error = Error::Diverged { particle: ParticleId(0), quantity: Quantity::Position, step: 1 };
+    check_refused(&world, &Command::Advance(Advance::by(1.9e19)), error);
+    world.set_acceleration(ParticleId(0), Some([0.0; 3].into())).expect("valid");
+    check_refused(&world, &Command::Advance(Advance::by(1.9e19)), error);
+    world.advance(1e18).expect("its square is finite");
+}
+
 #[test]
 fn refusals_change_nothing() {
     for integrator in Integrator::ALL {

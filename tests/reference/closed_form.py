@@ -1,4 +1,4 @@
-"""Writes closed_form.txt: E, phi and psi of src/closed_form.rs computed with 700 digits by mpmath 1.3 or later.
+"""Writes closed_form.txt: E, phi and psi of src/closed_form/ computed with 700 digits by mpmath 1.3 or later.
 
     pip install mpmath && python3 tests/reference/closed_form.py > tests/reference/closed_form.txt
 
@@ -67,6 +67,13 @@ while len(cases) < 2500:
         # Where the cancellations and the change of formula are: z between 2^-4 and 2^6.
         t = float(mpf(2) ** random.uniform(-4, 6) / -log(mpf(d)))
     if 0 <= d <= 1 and 0 < t <= 1e12:
+        cases.add((d, t))
+while len(cases) < 2800:
+    # Results about the smallest normal double: E by its exponent, phi and psi by the time.
+    d = random.random()
+    power = random.uniform(-1026, -1014)
+    t = random.choice([power / float(log(mpf(d), 2)), 2.0**power, 2.0 ** (power / 2)])
+    if 0 < d < 1 and 0 < t <= 1e12:
         cases.add((d, t))
 
 for d, t in sorted(cases):
