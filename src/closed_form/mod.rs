@@ -378,10 +378,8 @@ const TWO_64: f64 = 18_446_744_073_709_552_000.0;
 
 /// x = m 2ᵉ with 1 <= m < 2, of a positive double.
 fn mantissa_and_exponent(x: f64) -> (f64, i32) {
-    const FRACTION: u64 = (1 << 52) - 1;
-    let (bits, offset) = if x < f64::MIN_POSITIVE { ((x * TWO_64).to_bits(), 64) } else { (x.to_bits(), 0) };
-    let exponent = (bits >> 52) as i32 - 1023 - offset;
-    (f64::from_bits((bits & FRACTION) | 1.0_f64.to_bits()), exponent)
+    let (normal, offset) = if x < f64::MIN_POSITIVE { (x * TWO_64, 64) } else { (x, 0) };
+    (normal.mantissa(), (normal.to_bits() >> 52) as i32 - 1023 - offset)
 }
 
 /// 2ᵉ for a normal result.

@@ -76,48 +76,45 @@ fn room<R: Real>(room: &mut Option<Room<R>>, len: usize) -> &mut [[R; 3]] {
 impl<R: Real> World<R> {
     /// What drives some rows, if nothing has to be computed for each of them.
     pub(super) fn drive_as_it_is(&self, rows: Range<usize>) -> Option<Drive<'_, R>> {
-        let acceleration = match self.particles.driving_acceleration(self.gravity(), rows) {
-            Driving::Uniform(uniform) => Acceleration::Uniform(uniform),
-            Driving::Column(column) => Acceleration::Each(column.as_flattened()),
-            Driving::Each => return None,
-        };
-        let damping = match self.particles.damping {
-            Column::Uniform(damping) if damping == R::ONE => kernel::Damping::None,
-            Column::Uniform(_) => kernel::Damping::Uniform(self.factors.values[0]),
-            Column::PerParticle(_) => return None,
-        };
-        Some(Drive { acceleration, damping })
+        Some(Drive { acceleration: self.acceleration_as_it_is(rows)?, damping: self.damping_as_it_is()? })
     }
 
-    /// What drives the rows of a block. Decided by values: a column of equal values is no different from a uniform one.
+    /// What drives the rows of a block.
     pub(super) fn drive<'a>(&'a self, rows: Range<usize>, scratch: &'a mut Scratch<R>) -> Drive<'a, R> {
         let len = rows.len();
-        let acceleration = match self.particles.driving_acceleration(self.gravity(), rows.clone()) {
-            Driving::Uniform(uniform) => Acceleration::Uniform(uniform),
-            Driving::Column(column) => Acceleration::Each(column.as_flattened()),
-            Driving::Each => {
-                let filled = room(&mut scratch.acceleration, len);
-                self.particles.fill_acceleration(self.level, self.gravity(), rows.clone(), filled);
-                Acceleration::Each(filled.as_flattened())
+        let acceleration = self.acceleration_as_it_is(rows.clone()).unwrap_or_else(|| {
+            let filled = room(&mut scratch.acceleration, len);
+            self.particles.fill_acceleration(self.level, self.gravity(), rows.clone(), filled);
+            Acceleration::Each(filled.as_flattened())
+        });
+        let damping = self.damping_as_it_is().unwrap_or_else(|| {
+            let factor = room(&mut scratch.factor, len).as_flattened_mut();
+            kernel::to_components(self.level, &self.factors.values[rows.clone()], factor);
+            if self.factors.all_damped {
+                return kernel::Damping::Each(factor);
             }
-        };
-        let damping = match &self.particles.damping {
-            Column::Uniform(damping) if *damping == R::ONE => kernel::Damping::None,
-            Column::Uniform(_) => kernel::Damping::Uniform(self.factors.values[0]),
-            Column::PerParticle(dampings) => {
-                let factor = room(&mut scratch.factor, len).as_flattened_mut();
-                kernel::to_components(self.level, &self.factors.values[rows.clone()], factor);
-                if self.factors.all_damped {
-                    kernel::Damping::Each(factor)
-                } else {
-                    let rests = room(&mut scratch.rest, len);
-                    for (rest, damping) in rests.iter_mut().zip(&dampings[rows]) {
-                        *rest = [if *damping < R::ONE { R::REST } else { R::ZERO }; 3];
-                    }
-                    kernel::Damping::Mixed { factor, rest: rests.as_flattened() }
-                }
+            let rests = room(&mut scratch.rest, len);
+            for (rest, row) in rests.iter_mut().zip(rows) {
+                *rest = [if self.particles.damping.get(row) < R::ONE { R::REST } else { R::ZERO }; 3];
             }
-        };
+            kernel::Damping::Mixed { factor, rest: rests.as_flattened() }
+        });
         Drive { acceleration, damping }
+    }
+
+    fn acceleration_as_it_is(&self, rows: Range<usize>) -> Option<Acceleration<'_, R>> {
+        match self.particles.driving_acceleration(self.gravity(), rows) {
+            Driving::Uniform(uniform) => Some(Acceleration::Uniform(uniform)),
+            Driving::Column(column) => Some(Acceleration::Each(column.as_flattened())),
+            Driving::Each => None,
+        }
+    }
+
+    fn damping_as_it_is(&self) -> Option<kernel::Damping<'_, R>> {
+        match self.particles.damping {
+            Column::Uniform(damping) if damping == R::ONE => Some(kernel::Damping::None),
+            Column::Uniform(_) => Some(kernel::Damping::Uniform(self.factors.values[0])),
+            Column::PerParticle(_) => None,
+        }
     }
 }
