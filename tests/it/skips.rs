@@ -240,3 +240,20 @@ fn deferred_particles_cost_nothing() {
     assert_eq!((report.integrated, report.deferred, report.skipped), (2, COUNT - 3, 1));
     assert_eq!(world.work(&second), 0);
 }
+
+/// Where no time has passed since the base time nothing is computed, also beside particles where some has: the sign of a
+/// zero is kept.
+#[test]
+fn no_time_since_the_base_time() {
+    let mut world = world::<f64>(Integrator::Exact, uniform(0.75));
+    world.advance(1.0).expect("finite");
+    let zeros = pointmass::DVec3::splat(-0.0);
+    let late = Particle { position: zeros, velocity: zeros, damping: 0.75, ..Particle::default() };
+    let id = world.create(late).expect("valid");
+    world.for_each_block(|block| {
+        for (_, (p, v)) in block.id.iter().zip(block.position.iter().zip(&block.velocity)).filter(|(of, _)| **of == id)
+        {
+            assert!(p.iter().chain(v).all(|x| *x == 0.0 && x.is_sign_negative()), "{p:?} {v:?}");
+        }
+    });
+}
