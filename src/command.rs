@@ -1,6 +1,7 @@
 //! What can be asked of a world: every change is one [`Command`].
 
 use crate::column::Column;
+use crate::forces::{Drag, Forces, Gravitation};
 use crate::ids::ParticleId;
 use crate::integrator::{DampingLaw, Integrator};
 use crate::real::Real;
@@ -38,12 +39,8 @@ pub enum Command<R: Real> {
     Set {
         /// Which particles.
         ids: Selection,
-        /// Own acceleration in m/s²; `None`: the gravity of the world.
-        acceleration: Option<Column<Option<R::Vec3>>>,
-        /// Damping, 0 to 1.
-        damping: Option<Column<R>>,
-        /// Mass or inverse mass.
-        mass: Option<Column<Mass<R>>>,
+        /// Their new properties.
+        properties: Properties<R>,
     },
     /// Adds to the force accumulators, in newtons. The sum acts through the next advance and is then cleared.
     AddForce {
@@ -68,6 +65,27 @@ pub enum Command<R: Real> {
     Advance(Advance),
     /// Changes settings of the world.
     Configure(Configure<R>),
+}
+
+/// New properties of particles; an absent one stays as it is.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Properties<R: Real = f64> {
+    /// Own acceleration in m/s²; `None`: the gravity of the world.
+    pub acceleration: Option<Column<Option<R::Vec3>>>,
+    /// Damping, 0 to 1.
+    pub damping: Option<Column<R>>,
+    /// Mass or inverse mass.
+    pub mass: Option<Column<Mass<R>>>,
+    /// Its own drag; `None`: that of the world.
+    pub drag: Option<Column<Option<Drag<R>>>>,
+    /// The mass in kilograms with which it attracts others; `None`: its mass, and 0 if it is immovable.
+    pub gravitational_mass: Option<Column<Option<R>>>,
+}
+
+impl<R: Real> Default for Properties<R> {
+    fn default() -> Self {
+        Self { acceleration: None, damping: None, mass: None, drag: None, gravitational_mass: None }
+    }
 }
 
 /// The particles a command speaks of.
@@ -104,6 +122,11 @@ pub struct Particle<R: Real = f64> {
     pub damping: R,
     /// Default: 1 kg.
     pub mass: Mass<R>,
+    /// Its own drag, where the world has drag at all. Default `None`: that of the world.
+    pub drag: Option<Drag<R>>,
+    /// The mass in kilograms with which it attracts others, where the world has gravitation; at least 0. Default `None`: its
+    /// mass, and 0 for an immovable particle.
+    pub gravitational_mass: Option<R>,
 }
 
 impl<R: Real> Default for Particle<R> {
@@ -114,6 +137,8 @@ impl<R: Real> Default for Particle<R> {
             acceleration: None,
             damping: R::ONE,
             mass: Mass::Inverse(R::ONE),
+            drag: None,
+            gravitational_mass: None,
         }
     }
 }
@@ -153,6 +178,10 @@ pub struct NewParticles<R: Real = f64> {
     pub damping: Column<R>,
     /// See [`Particle`].
     pub mass: Column<Mass<R>>,
+    /// See [`Particle`].
+    pub drag: Column<Option<Drag<R>>>,
+    /// See [`Particle`].
+    pub gravitational_mass: Column<Option<R>>,
 }
 
 impl<R: Real> Default for NewParticles<R> {
@@ -170,6 +199,8 @@ impl<R: Real> From<Particle<R>> for NewParticles<R> {
             acceleration: Column::Uniform(particle.acceleration),
             damping: Column::Uniform(particle.damping),
             mass: Column::Uniform(particle.mass),
+            drag: Column::Uniform(particle.drag),
+            gravitational_mass: Column::Uniform(particle.gravitational_mass),
         }
     }
 }
@@ -184,6 +215,9 @@ impl<R: Real> FromIterator<Particle<R>> for NewParticles<R> {
             acceleration: Column::PerParticle(particles.iter().map(|p| p.acceleration).collect()),
             damping: Column::PerParticle(particles.iter().map(|p| p.damping).collect()),
             mass: Column::PerParticle(particles.iter().map(|p| p.mass).collect()),
+            drag: Column::PerParticle(particles.iter().map(|p| p.drag).collect()).collapsed(),
+            gravitational_mass: Column::PerParticle(particles.iter().map(|p| p.gravitational_mass).collect())
+                .collapsed(),
         }
     }
 }
@@ -206,14 +240,47 @@ pub struct Advance {
     /// The longest step in seconds, finite and above 0. Absent, and no `steps`: that of the world; without one, the
     /// whole duration is one step.
     pub max_step: Option<f64>,
+    /// Whether to report how far the steps are from the closed form. Default: no.
+    pub report_error: bool,
+    /// Where to stop earlier. Default: nowhere.
+    pub until: Option<Until>,
 }
 
 impl Advance {
     /// By this many seconds, in the steps that the world prescribes.
     #[must_use]
     pub const fn by(duration: f64) -> Self {
-        Self { duration, steps: None, max_step: None }
+        Self { duration, steps: None, max_step: None, report_error: false, until: None }
     }
+}
+
+/// An advance stops at the moment when a particle reaches a plane.
+///
+/// ```
+/// use pointmass::{Advance, DVec3, Particle, Plane, Settings, Until, World};
+/// let mut world = World::new(Settings { gravity: DVec3::new(0.0, -10.0, 0.0), ..Settings::default() })?;
+/// let ball = world.create(Particle { position: DVec3::new(0.0, 20.0, 0.0), ..Particle::default() })?;
+/// let ground = Plane { normal: [0.0, 1.0, 0.0], offset: 0.0 };
+/// let until = Some(Until { particle: ball, plane: ground });
+/// let report = world.advance(Advance { until, ..Advance::by(60.0) })?;
+/// assert_eq!((report.crossed, report.time), (Some(true), 2.0));
+/// # Ok::<(), pointmass::Error>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Until {
+    /// Which particle.
+    pub particle: ParticleId,
+    /// Which plane.
+    pub plane: Plane,
+}
+
+/// The points x with n · x = c.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Plane {
+    /// n, finite and not 0; of any length.
+    pub normal: [f64; 3],
+    /// c, finite: the distance from the origin in metres, times the length of n.
+    pub offset: f64,
 }
 
 impl From<f64> for Advance {
@@ -241,6 +308,29 @@ pub struct Settings<R: Real = f64> {
     /// The longest step in seconds of an advance that names neither `steps` nor `max_step`; finite, above 0.
     /// Default `None`: such an advance is one step.
     pub max_step: Option<f64>,
+    /// Default: none.
+    pub forces: Forces<R>,
+    /// What [`Integrator::Dop853`] chooses its steps for.
+    pub tolerance: Tolerance,
+    /// Whether steps keep what rounding takes from position and velocity, and add it later: under
+    /// [`Integrator::VelocityVerlet`], [`Integrator::Rk4`] and [`Integrator::Dop853`]. Default: no.
+    pub compensated: bool,
+}
+
+/// The error that an adaptive integrator may make in one step, for each particle: for the position absolute + relative × its
+/// distance from the origin, and the same for the velocity.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tolerance {
+    /// In metres, and in m/s; finite, at least 0. Default 1e-9.
+    pub absolute: f64,
+    /// Finite, at least 0; not both 0. Default 1e-9.
+    pub relative: f64,
+}
+
+impl Default for Tolerance {
+    fn default() -> Self {
+        Self { absolute: 1e-9, relative: 1e-9 }
+    }
 }
 
 impl<R: Real> Default for Settings<R> {
@@ -250,6 +340,9 @@ impl<R: Real> Default for Settings<R> {
             gravity: R::Vec3::default(),
             damping_law: DampingLaw::default(),
             max_step: None,
+            forces: Forces::default(),
+            tolerance: Tolerance::default(),
+            compensated: false,
         }
     }
 }
@@ -266,11 +359,28 @@ pub struct Configure<R: Real = f64> {
     pub damping_law: Option<DampingLaw>,
     /// See [`Settings`]; `Some(None)` takes the longest step away.
     pub max_step: Option<Option<f64>>,
+    /// See [`Forces`]; `Some(None)` switches it off.
+    pub drag: Option<Option<Drag<R>>>,
+    /// See [`Forces`]; `Some(None)` switches it off.
+    pub gravitation: Option<Option<Gravitation<R>>>,
+    /// See [`Settings`].
+    pub tolerance: Option<Tolerance>,
+    /// See [`Settings`].
+    pub compensated: Option<bool>,
 }
 
 impl<R: Real> Default for Configure<R> {
     fn default() -> Self {
-        Self { integrator: None, gravity: None, damping_law: None, max_step: None }
+        Self {
+            integrator: None,
+            gravity: None,
+            damping_law: None,
+            max_step: None,
+            drag: None,
+            gravitation: None,
+            tolerance: None,
+            compensated: None,
+        }
     }
 }
 
@@ -320,12 +430,16 @@ pub enum Outcome {
 pub struct Advanced {
     /// The clock of the world afterwards, in seconds.
     pub time: f64,
-    /// The duration in seconds, as asked.
+    /// The duration in seconds, as asked, or until the plane was reached.
     pub duration: f64,
     /// The number of steps.
     pub steps: u64,
-    /// The length of one step in seconds.
+    /// The length of one step in seconds; of an adaptive integrator the mean.
     pub step: f64,
+    /// Steps that an adaptive integrator took back because their error was above the tolerance.
+    pub rejected_steps: u64,
+    /// How often the accelerations of all particles were computed; 0 where they are constant.
+    pub evaluations: u64,
     /// All steps of this world so far.
     pub step_count: u64,
     /// Particles moved now.
@@ -340,6 +454,19 @@ pub struct Advanced {
     pub dampings: Values,
     /// Particles that were looked at to be sure that every number stays finite; 0 when bounds on all of them told.
     pub inspected: usize,
+    /// How far the steps ended from the closed form, where that was asked for and there is one.
+    pub error: Option<StepError>,
+    /// Whether the particle reached the plane, where one was given.
+    pub crossed: Option<bool>,
+}
+
+/// The largest distance, of any particle, between where the steps of an advance ended and the closed form from the same start.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StepError {
+    /// In metres.
+    pub position: f64,
+    /// In m/s.
+    pub velocity: f64,
 }
 
 /// How many values of a property an advance used.

@@ -62,6 +62,58 @@ pub enum Error {
         /// The damping law.
         damping_law: DampingLaw,
     },
+    /// The integrator cannot compute with a damping of 0.
+    #[error(
+        "the integrator {integrator} cannot serve a damping of 0, which stops a particle at once; take exact, velocity_verlet or an Euler integrator"
+    )]
+    IntegratorCannotServeZeroDamping {
+        /// The integrator.
+        integrator: Integrator,
+        /// The value that asked for it; `None`: a particle has it already.
+        place: Option<Place>,
+    },
+    /// The integrator cannot compute with forces that depend on position or velocity.
+    #[error(
+        "the integrator {integrator} cannot serve drag or gravitation; take velocity_verlet, rk4, dop853 or an Euler integrator"
+    )]
+    IntegratorCannotServeForces {
+        /// The integrator.
+        integrator: Integrator,
+    },
+    /// An adaptive integrator chooses its steps itself.
+    #[error(
+        "the integrator {integrator} chooses its steps by the tolerance of the world; leave steps out, or give max_step"
+    )]
+    IntegratorTakesNoSteps {
+        /// The integrator.
+        integrator: Integrator,
+    },
+    /// An adaptive integrator did not arrive with as many steps as are allowed.
+    #[error(
+        "{integrator} came {reached} s of {duration} s far with {steps} steps, the most allowed; advance by less, or give a larger tolerance or softening"
+    )]
+    TooManySteps {
+        /// The integrator.
+        integrator: Integrator,
+        /// Steps that it took, and took back.
+        steps: u64,
+        /// How far it came, in seconds.
+        reached: f64,
+        /// How far it should, in seconds.
+        duration: f64,
+    },
+    /// A constant, a coefficient or a mass below zero.
+    #[error("{0} must be at least 0")]
+    Negative(Place),
+    /// A tolerance that no step can meet.
+    #[error("the tolerance must have an absolute or a relative part above 0")]
+    ToleranceZero,
+    /// A plane without a direction.
+    #[error("the normal of the plane must not be 0")]
+    PlaneWithoutNormal,
+    /// A trajectory that has no way.
+    #[error("samples must be at least 2: the first and the last moment")]
+    TooFewSamples,
     /// No such particle.
     #[error("there is no particle {id} in this world")]
     UnknownParticle {
@@ -148,6 +200,16 @@ pub enum Field {
     Gravity,
     MaxStep,
     Duration,
+    Drag,
+    K1,
+    K2,
+    GravitationalMass,
+    Constant,
+    Softening,
+    Absolute,
+    Relative,
+    Normal,
+    Offset,
 }
 
 impl Field {
@@ -166,6 +228,16 @@ impl Field {
             Self::Gravity => "gravity",
             Self::MaxStep => "max_step",
             Self::Duration => "duration",
+            Self::Drag => "drag",
+            Self::K1 => "k1",
+            Self::K2 => "k2",
+            Self::GravitationalMass => "gravitational_mass",
+            Self::Constant => "constant",
+            Self::Softening => "softening",
+            Self::Absolute => "absolute",
+            Self::Relative => "relative",
+            Self::Normal => "normal",
+            Self::Offset => "offset",
         }
     }
 
@@ -218,11 +290,13 @@ pub struct Limits {
     pub steps: u64,
     /// The most steps × particles of one advance.
     pub particle_steps: u64,
+    /// The most interactions of one advance: pairs of an attracting and an attracted particle × evaluations.
+    pub interactions: u64,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { particles: crate::ids::Ids::LEN_MAX, steps: 1 << 53, particle_steps: u64::MAX }
+        Self { particles: crate::ids::Ids::LEN_MAX, steps: 1 << 53, particle_steps: u64::MAX, interactions: u64::MAX }
     }
 }
 
@@ -235,6 +309,8 @@ pub enum Limit {
     Steps,
     /// [`Limits::particle_steps`].
     ParticleSteps,
+    /// [`Limits::interactions`].
+    Interactions,
 }
 
 impl fmt::Display for Limit {
@@ -243,6 +319,7 @@ impl fmt::Display for Limit {
             Self::Particles => "particles in a world",
             Self::Steps => "steps in one advance",
             Self::ParticleSteps => "steps x particles in one advance",
+            Self::Interactions => "interactions of particles in one advance",
         })
     }
 }

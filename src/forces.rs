@@ -1,100 +1,68 @@
-//! The force accumulators, and on which particles a force acts.
+//! The forces that depend on where a particle is and how fast it moves. Each is off unless the world asks for it.
 
-use crate::column::Column;
-use crate::ids::{Ids, ParticleId};
 use crate::real::Real;
 
-/// The sum of the forces added to each particle since the last advance. A scene without forces holds one zero.
-#[derive(Debug, Clone)]
-pub(crate) struct Forces<R: Real> {
-    sum: Column<[R; 3]>,
-    acting: Acting,
-    /// Advances since the last one with a force.
-    idle: u8,
+/// The forces of a world beside those that are added to its particles. None by default.
+///
+/// ```
+/// use pointmass::{Drag, Forces, Gravitation, Integrator, Settings, World};
+/// let forces = Forces { gravitation: Some(Gravitation::default()), ..Forces::default() };
+/// let world = World::<f64>::new(Settings { forces, integrator: Integrator::VelocityVerlet, ..Settings::default() })?;
+/// # Ok::<(), pointmass::Error>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Forces<R: Real = f64> {
+    /// Slows every movable particle down; `None`: no particle has drag.
+    pub drag: Option<Drag<R>>,
+    /// Every particle attracts every movable one; `None`: none does.
+    pub gravitation: Option<Gravitation<R>>,
 }
 
-/// On which particles a force acts.
-#[derive(Debug, Clone)]
-pub(crate) enum Acting {
-    /// At most these, perhaps some of them named twice or gone.
-    Few(Vec<ParticleId>),
-    /// Perhaps on all.
-    Many,
+impl<R: Real> Default for Forces<R> {
+    fn default() -> Self {
+        Self { drag: None, gravitation: None }
+    }
 }
-
-/// A game that pushes every few ticks keeps its column.
-const IDLE_MAX: u8 = 16;
 
 impl<R: Real> Forces<R> {
-    pub(crate) fn new() -> Self {
-        Self { sum: Column::Uniform([R::ZERO; 3]), acting: Acting::Few(Vec::new()), idle: 0 }
+    /// Whether there is one.
+    #[must_use]
+    pub fn any(&self) -> bool {
+        self.drag.is_some() || self.gravitation.is_some()
     }
+}
 
-    pub(crate) fn get(&self, row: usize) -> [R; 3] {
-        self.sum.get(row)
+/// Drag: a force of k₁ |v| + k₂ |v|² newtons against the velocity v.
+///
+/// It is a force, so that a heavy particle feels it less, unlike damping. Source: Millington, chapter 5.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Drag<R: Real = f64> {
+    /// In kg/s, at least 0. Default 0.
+    pub k1: R,
+    /// In kg/m, at least 0. Default 0.
+    pub k2: R,
+}
+
+impl<R: Real> Default for Drag<R> {
+    fn default() -> Self {
+        Self { k1: R::ZERO, k2: R::ZERO }
     }
+}
 
-    pub(crate) fn column(&self) -> &Column<[R; 3]> {
-        &self.sum
-    }
+/// Newton's law between every pair of particles: a force of G m₁ m₂ r / (r² + ε²)^(3/2) newtons at a distance r.
+///
+/// m is the mass of the particle, 0 for an immovable one, or its gravitational mass where it is given one. Particles at the
+/// same place do not attract each other.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Gravitation<R: Real = f64> {
+    /// G in m³/(kg s²), at least 0. Default 6.6743e-11 (CODATA 2018).
+    pub constant: R,
+    /// ε in metres, at least 0. Default 0.
+    pub softening: R,
+}
 
-    pub(crate) fn acting(&self) -> &Acting {
-        &self.acting
-    }
-
-    /// Whether it can be told at once that no force acts on any particle.
-    pub(crate) fn none(&self) -> bool {
-        match &self.acting {
-            Acting::Few(ids) => ids.is_empty(),
-            Acting::Many => false,
-        }
-    }
-
-    /// The same sum for every particle, where one value stands for all.
-    pub(crate) fn set_all(&mut self, sum: [R; 3]) {
-        self.idle = 0;
-        self.sum = Column::Uniform(sum);
-        self.acting = if sum == [R::ZERO; 3] { Acting::Few(Vec::new()) } else { Acting::Many };
-    }
-
-    pub(crate) fn set(&mut self, row: usize, id: ParticleId, sum: [R; 3], len: usize) {
-        if let Acting::Few(ids) = &mut self.acting
-            && self.sum.get(row) == [R::ZERO; 3]
-        {
-            // Above an eighth, looking at all of them is no slower than looking each of them up.
-            if ids.len() > len / 8 {
-                self.acting = Acting::Many;
-            } else {
-                ids.push(id);
-            }
-        }
-        self.sum.set(row, sum, len);
-    }
-
-    /// Appends `count` particles without a force to `len` others.
-    pub(crate) fn extend(&mut self, len: usize, count: usize) {
-        self.sum.extend(len, &Column::Uniform([R::ZERO; 3]), count);
-    }
-
-    pub(crate) fn swap_remove(&mut self, row: usize) {
-        self.sum.swap_remove(row);
-    }
-
-    /// All zero again. The column is kept for the next forces, and given back after some advances without one.
-    pub(crate) fn clear(&mut self, ids: &Ids) {
-        self.idle = if self.none() { self.idle + 1 } else { 0 };
-        match (&mut self.sum, &mut self.acting) {
-            (Column::PerParticle(_), Acting::Few(few)) if few.is_empty() && self.idle < IDLE_MAX => {}
-            (Column::PerParticle(sum), Acting::Few(few)) if !few.is_empty() => {
-                for row in few.drain(..).filter_map(|id| ids.row(id)) {
-                    sum[row] = [R::ZERO; 3];
-                }
-            }
-            (Column::PerParticle(sum), Acting::Many) => {
-                sum.fill([R::ZERO; 3]);
-                self.acting = Acting::Few(Vec::new());
-            }
-            (Column::PerParticle(_) | Column::Uniform(_), _) => self.set_all([R::ZERO; 3]),
-        }
+impl<R: Real> Default for Gravitation<R> {
+    fn default() -> Self {
+        Self { constant: R::nearest(6.6743e-11), softening: R::ZERO }
     }
 }

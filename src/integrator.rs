@@ -23,11 +23,31 @@ pub enum Integrator {
     NewtonEulerQuadratic,
     /// v ← (v + A h) D, then p ← p + v h. Order 1; symplectic without damping.
     SemiImplicitEuler,
+    /// Half a kick with gravitation, the exact flow of everything else, half a kick. Order 2; symplectic without damping
+    /// and drag; equal to `Exact` when nothing depends on position. Drag is split: half its exact flow, the kick of the constant
+    /// acceleration, half its flow.
+    ///
+    /// Source: L. Verlet, Phys. Rev. 159 (1967); the composition: G. Strang, SIAM J. Numer. Anal. 5 (1968).
+    VelocityVerlet,
+    /// The classic method of Runge and Kutta on p' = v, v' = A(p, v) − λ v. Order 4; stable while λ h < 2.78. Source: W. Kutta,
+    /// Z. Math. Phys. 46 (1901).
+    Rk4,
+    /// Order 8, with steps of the length that the tolerance of the world allows. Source: Hairer, Nørsett and Wanner, *Solving
+    /// Ordinary Differential Equations I*, second edition, section II.10.
+    Dop853,
 }
 
 impl Integrator {
     /// Every integrator, for loops over all of them.
-    pub const ALL: [Self; 4] = [Self::Exact, Self::NewtonEuler, Self::NewtonEulerQuadratic, Self::SemiImplicitEuler];
+    pub const ALL: [Self; 7] = [
+        Self::Exact,
+        Self::NewtonEuler,
+        Self::NewtonEulerQuadratic,
+        Self::SemiImplicitEuler,
+        Self::VelocityVerlet,
+        Self::Rk4,
+        Self::Dop853,
+    ];
 
     /// The name in JSON and logs, for example `newton_euler`.
     #[must_use]
@@ -37,6 +57,9 @@ impl Integrator {
             Self::NewtonEuler => "newton_euler",
             Self::NewtonEulerQuadratic => "newton_euler_quadratic",
             Self::SemiImplicitEuler => "semi_implicit_euler",
+            Self::VelocityVerlet => "velocity_verlet",
+            Self::Rk4 => "rk4",
+            Self::Dop853 => "dop853",
         }
     }
 
@@ -46,16 +69,49 @@ impl Integrator {
         match self {
             Self::Exact => None,
             Self::NewtonEuler | Self::NewtonEulerQuadratic | Self::SemiImplicitEuler => Some(1),
+            Self::VelocityVerlet => Some(2),
+            Self::Rk4 => Some(4),
+            Self::Dop853 => Some(8),
         }
     }
 
-    /// Whether it can compute with this damping law: the closed form knows only [`DampingLaw::PerSecond`].
+    /// How often a step computes the accelerations, where they are not constant.
+    #[must_use]
+    pub const fn evaluations(self) -> u64 {
+        match self {
+            Self::Exact => 0,
+            Self::NewtonEuler | Self::NewtonEulerQuadratic | Self::SemiImplicitEuler | Self::VelocityVerlet => 1,
+            Self::Rk4 => 4,
+            Self::Dop853 => 12,
+        }
+    }
+
+    /// Whether it is one of the three of the book's kind, which add an acceleration once for each step.
+    #[must_use]
+    pub const fn is_euler(self) -> bool {
+        matches!(self, Self::NewtonEuler | Self::NewtonEulerQuadratic | Self::SemiImplicitEuler)
+    }
+
+    /// Whether it can compute with this damping law: only Euler's kind knows [`DampingLaw::PerStep`].
     #[must_use]
     pub const fn serves(self, law: DampingLaw) -> bool {
         match law {
             DampingLaw::PerSecond => true,
-            DampingLaw::PerStep => !matches!(self, Self::Exact),
+            DampingLaw::PerStep => self.is_euler(),
         }
+    }
+
+    /// Whether it can compute with a damping of 0, which stops everything at once: not as the differential equation
+    /// that Runge-Kutta methods solve.
+    #[must_use]
+    pub const fn serves_zero_damping(self) -> bool {
+        !matches!(self, Self::Rk4 | Self::Dop853)
+    }
+
+    /// Whether it can compute with forces that depend on position or velocity: the closed form cannot.
+    #[must_use]
+    pub const fn serves_forces(self) -> bool {
+        !matches!(self, Self::Exact)
     }
 }
 

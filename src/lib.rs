@@ -27,6 +27,7 @@
 //! exact one. Columns, ids and the double-double clock have a file each. Everything under `server` speaks HTTP; nothing
 //! else does. ARCHITECTURE.md says why.
 
+mod accumulators;
 mod base_times;
 mod closed_form;
 mod column;
@@ -43,14 +44,17 @@ mod real;
 mod registry;
 #[cfg(feature = "server")]
 pub mod server;
+mod system;
 mod threads;
 mod world;
 
 pub use column::Column;
 pub use command::{
-    Advance, Advanced, Command, Configure, Mass, NewParticles, Outcome, Particle, Selection, Settings, Values, gravity,
+    Advance, Advanced, Command, Configure, Mass, NewParticles, Outcome, Particle, Plane, Properties, Selection,
+    Settings, StepError, Tolerance, Until, Values, gravity,
 };
 pub use error::{Error, Field, Limit, Limits, Place, Quantity};
+pub use forces::{Drag, Forces, Gravitation};
 pub use glam::{DVec3, Vec3};
 pub use ids::ParticleId;
 pub use integrator::{DampingLaw, Integrator};
@@ -58,7 +62,7 @@ pub use real::{Precision, Real};
 pub use threads::Threads;
 #[cfg(feature = "digest")]
 pub use world::Digest;
-pub use world::{ParticleState, States, StepPlan, World};
+pub use world::{ParticleState, States, StepPlan, Trajectory, World};
 
 /// The Rust of README.md, run as a documentation test.
 #[cfg(doctest)]

@@ -10,7 +10,7 @@ use tracing_subscriber::EnvFilter;
 
 fn main() -> ExitCode {
     let result = match Cli::parse().command() {
-        Command::Serve(config) => run(config),
+        Command::Serve(config) => run(*config),
         Command::Healthcheck { url } => healthcheck(&url),
     };
     match result {

@@ -4,10 +4,11 @@ use std::ops::Range;
 
 use fearless_simd::{Level, Simd, dispatch};
 
+use crate::accumulators::Accumulators;
 use crate::base_times::BaseTimes;
 use crate::column::{self, Column};
 use crate::double_double::DoubleDouble;
-use crate::forces::Forces;
+use crate::forces::Drag;
 use crate::real::Real;
 
 /// The properties of all particles. Invariant: position, velocity and every per-particle column have `len` values.
@@ -23,7 +24,13 @@ pub(crate) struct Particles<R: Real> {
     pub(crate) inverse_mass: Column<R>,
     /// How many inverse masses are 0: where there is none, all follow the gravity that have no acceleration of their own.
     pub(crate) immovable_count: usize,
-    pub(crate) force: Forces<R>,
+    pub(crate) force: Accumulators<R>,
+    /// Own drag, where there is one; otherwise that of the world.
+    pub(crate) drag: Column<Option<Drag<R>>>,
+    /// The mass that attracts, where it is not the inverse of the inverse mass.
+    pub(crate) gravitational_mass: Column<Option<R>>,
+    /// What rounding took from position and velocity, in a world of compensated sums; empty otherwise.
+    pub(crate) residual: Residuals<R>,
     /// The clock at which position and velocity hold. Under a stepped integrator it is always the clock of the world.
     pub(crate) base_time: BaseTimes,
     /// Immovable, without velocity and acceleration: nothing can change such a particle but a command that names it.
@@ -48,6 +55,22 @@ pub(crate) struct New<R: Real> {
     pub(crate) acceleration: Column<Option<[R; 3]>>,
     pub(crate) damping: Column<R>,
     pub(crate) inverse_mass: Column<R>,
+    pub(crate) drag: Column<Option<Drag<R>>>,
+    pub(crate) gravitational_mass: Column<Option<R>>,
+}
+
+/// What rounding took from the positions and velocities of all particles; or nothing.
+#[derive(Debug, Clone)]
+pub(crate) struct Residuals<R> {
+    pub(crate) position: Vec<[R; 3]>,
+    pub(crate) velocity: Vec<[R; 3]>,
+}
+
+impl<R: Real> Residuals<R> {
+    /// For `len` particles, or for none.
+    pub(crate) fn zero(len: usize) -> Self {
+        Self { position: vec![zero(); len], velocity: vec![zero(); len] }
+    }
 }
 
 pub(crate) const fn zero<R: Real>() -> [R; 3] {
@@ -64,7 +87,10 @@ impl<R: Real> Particles<R> {
             damping: Column::Uniform(R::ONE),
             inverse_mass: Column::Uniform(R::ONE),
             immovable_count: 0,
-            force: Forces::new(),
+            force: Accumulators::new(),
+            drag: Column::Uniform(None),
+            gravitational_mass: Column::Uniform(None),
+            residual: Residuals::zero(0),
             base_time: BaseTimes::default(),
             resting: Column::Uniform(false),
             resting_count: 0,
@@ -119,8 +145,12 @@ impl<R: Real> Particles<R> {
     }
 
     /// Appends `count` particles.
-    pub(crate) fn extend(&mut self, new: &New<R>, count: usize, clock: DoubleDouble) {
+    pub(crate) fn extend(&mut self, new: &New<R>, count: usize, clock: DoubleDouble, compensated: bool) {
         let len = self.len();
+        if compensated {
+            self.residual.position.resize(len + count, zero());
+            self.residual.velocity.resize(len + count, zero());
+        }
         extend_vectors(&mut self.position, &new.position, count);
         extend_vectors(&mut self.velocity, &new.velocity, count);
         self.own_acceleration.extend(len, &new.acceleration.map(Option::unwrap_or_default), count);
@@ -128,6 +158,8 @@ impl<R: Real> Particles<R> {
         self.damping.extend(len, &new.damping, count);
         self.inverse_mass.extend(len, &new.inverse_mass, count);
         self.force.extend(len, count);
+        self.drag.extend(len, &new.drag, count);
+        self.gravitational_mass.extend(len, &new.gravitational_mass, count);
         self.base_time.extend(len, clock, count);
         self.resting.extend(len, &Column::Uniform(false), count);
         let immovable = |i: &usize| new.inverse_mass.get(*i) == R::ZERO;
@@ -135,6 +167,27 @@ impl<R: Real> Particles<R> {
             self.immovable_count += 1;
             self.note_rest(len + i);
         }
+    }
+
+    /// One of them by itself, with its force.
+    pub(crate) fn alone(&self, row: usize, clock: DoubleDouble, compensated: bool) -> Self {
+        let mut alone = Self::new();
+        let new = New {
+            position: Column::Uniform(self.position[row]),
+            velocity: Column::Uniform(self.velocity[row]),
+            acceleration: Column::Uniform(self.own(row)),
+            damping: Column::Uniform(self.damping.get(row)),
+            inverse_mass: Column::Uniform(self.inverse_mass.get(row)),
+            drag: Column::Uniform(self.drag.get(row)),
+            gravitational_mass: Column::Uniform(self.gravitational_mass.get(row)),
+        };
+        alone.extend(&new, 1, clock, compensated);
+        if compensated {
+            alone.residual.position[0] = self.residual.position[row];
+            alone.residual.velocity[0] = self.residual.velocity[row];
+        }
+        alone.force.set_all(self.force.get(row));
+        alone
     }
 
     /// The acceleration without the share of the force, where it is the same for all.
@@ -188,6 +241,13 @@ impl<R: Real> Particles<R> {
         self.force.get(row) != zero() && self.inverse_mass.get(row) != R::ZERO
     }
 
+    /// The mass in kilograms with which it attracts others.
+    pub(crate) fn attracting_mass(&self, row: usize) -> f64 {
+        let w: f64 = self.inverse_mass.get(row).into();
+        let mass = if w == 0.0 { 0.0 } else { 1.0 / w };
+        self.gravitational_mass.get(row).map_or(mass, Into::into)
+    }
+
     /// Sets the inverse mass of all.
     pub(crate) fn set_inverse_masses(&mut self, w: R) {
         self.inverse_mass = Column::Uniform(w);
@@ -211,6 +271,12 @@ impl<R: Real> Particles<R> {
         self.damping.swap_remove(row);
         self.inverse_mass.swap_remove(row);
         self.force.swap_remove(row);
+        self.drag.swap_remove(row);
+        self.gravitational_mass.swap_remove(row);
+        if !self.residual.position.is_empty() {
+            column::swap_remove(&mut self.residual.position, row);
+            column::swap_remove(&mut self.residual.velocity, row);
+        }
         self.base_time.swap_remove(row);
         self.resting.swap_remove(row);
     }

@@ -7,6 +7,8 @@ use std::ops::{Add, Mul, Sub};
 
 use glam::{DVec3, Vec3};
 
+use crate::double_double::DoubleDouble;
+
 /// The precision of a world: how its numbers are stored and how the stepped integrators compute.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Precision {
@@ -110,6 +112,15 @@ pub trait Real:
     /// Doubles of a smaller magnitude, and no others, are below that when rounded to this type.
     const REST_UNROUNDED: f64;
 
+    /// The most lanes that a register of any instruction set has.
+    const LANES_MAX: usize;
+    /// Half the distance from 1 to the next number: what rounding changes at most, relatively.
+    const ROUND_OFF: f64;
+    /// Lengths below this have squares whose sum is finite, with room for a power.
+    const FAR: Self;
+    /// Squares of at least this keep all their digits, and so does their inverse.
+    const NEAR: Self;
+
     /// The nearest number of this type; beyond the largest, infinity.
     fn nearest(x: f64) -> Self;
     /// Neither infinite nor NaN.
@@ -117,6 +128,12 @@ pub trait Real:
     /// The magnitude.
     #[must_use]
     fn abs(self) -> Self;
+    /// What rounding takes from a product.
+    #[must_use]
+    fn lost_in_product(a: Self, b: Self) -> Self;
+    /// The square root.
+    #[must_use]
+    fn square_root(self) -> Self;
     /// `self`, or a zero of its sign where it is smaller than a magnitude.
     #[must_use]
     fn at_rest_below(self, magnitude: Self) -> Self;
@@ -132,6 +149,10 @@ impl Real for f32 {
     const REST: Self = f32::from_bits((127 - 100) << 23);
     // 2⁻¹⁰⁰ less half the distance to the single before it.
     const REST_UNROUNDED: f64 = f64::from_bits((1023 - 100) << 52) - f64::from_bits((1023 - 125) << 52);
+    const LANES_MAX: usize = 16;
+    const ROUND_OFF: f64 = f64::from_bits((1023 - 24) << 52);
+    const FAR: Self = f32::from_bits((127 + 58) << 23);
+    const NEAR: Self = f32::from_bits((127 - 100) << 23);
 
     #[expect(clippy::cast_possible_truncation, reason = "rounding to single is what it is for")]
     #[inline]
@@ -143,6 +164,15 @@ impl Real for f32 {
     }
     fn abs(self) -> Self {
         self.abs()
+    }
+    #[inline]
+    fn lost_in_product(a: Self, b: Self) -> Self {
+        // The product of two singles is a double.
+        Self::nearest(f64::from(a) * f64::from(b) - f64::from(a * b))
+    }
+    #[inline]
+    fn square_root(self) -> Self {
+        self.sqrt()
     }
     #[inline]
     fn at_rest_below(self, magnitude: Self) -> Self {
@@ -159,6 +189,10 @@ impl Real for f64 {
     const LARGEST: f64 = f64::MAX;
     const REST: Self = f64::from_bits((1023 - 960) << 52);
     const REST_UNROUNDED: f64 = Self::REST;
+    const LANES_MAX: usize = 8;
+    const ROUND_OFF: f64 = f64::from_bits((1023 - 53) << 52);
+    const FAR: Self = f64::from_bits((1023 + 500) << 52);
+    const NEAR: Self = f64::from_bits((1023 - 900) << 52);
 
     #[inline]
     fn nearest(x: f64) -> Self {
@@ -169,6 +203,14 @@ impl Real for f64 {
     }
     fn abs(self) -> Self {
         self.abs()
+    }
+    #[inline]
+    fn lost_in_product(a: Self, b: Self) -> Self {
+        DoubleDouble::product(a, b).lo
+    }
+    #[inline]
+    fn square_root(self) -> Self {
+        self.sqrt()
     }
     #[inline]
     fn at_rest_below(self, magnitude: Self) -> Self {

@@ -31,6 +31,12 @@ const CHUNK: usize = 1024;
 #[cfg(feature = "threads")]
 const WORK_TO_SHARE: u64 = 1 << 17;
 
+/// Rows of columns that one thread takes at a time: whole registers.
+const ROWS_TO_SHARE: usize = 128;
+
+/// Interactions between two looks at whether an advance is cancelled: about a tenth of a second.
+const ROUND_INTERACTIONS: u64 = 1 << 27;
+
 impl Threads {
     /// Starts `count` threads; one thread is none besides the one that asks.
     ///
@@ -64,5 +70,43 @@ impl Threads {
         #[cfg(not(feature = "threads"))]
         let _ = steps;
         advance(0, p, v);
+    }
+
+    /// Computes three columns, in rounds between which others have their turn on the threads: `compute` gets the index of
+    /// its first row, and some of each. A row costs `work` interactions.
+    pub(crate) fn share_columns<T: Send>(
+        &self,
+        work: u64,
+        columns: [&mut [T]; 3],
+        compute: impl Fn(usize, [&mut [T]; 3]) + Sync,
+    ) {
+        let len = columns[0].len();
+        let rows = usize::try_from(ROUND_INTERACTIONS / work.max(1)).unwrap_or(len);
+        let rows = rows.clamp(1, len.max(1)).next_multiple_of(ROWS_TO_SHARE);
+        let [x, y, z] = columns.map(|column| column.chunks_mut(rows));
+        for (round, ((x, y), z)) in x.zip(y).zip(z).enumerate() {
+            self.share_round(work, round * rows, [x, y, z], &compute);
+        }
+    }
+
+    fn share_round<T: Send>(
+        &self,
+        work: u64,
+        first: usize,
+        columns: [&mut [T]; 3],
+        compute: &(impl Fn(usize, [&mut [T]; 3]) + Sync),
+    ) {
+        #[cfg(feature = "threads")]
+        if let Some(pool) = &self.pool
+            && (columns[0].len() as u64).saturating_mul(work) >= WORK_TO_SHARE
+        {
+            let [x, y, z] = columns.map(|column| column.par_chunks_mut(ROWS_TO_SHARE));
+            let rows = x.zip(y).zip(z).enumerate();
+            let chunk = |(chunk, ((x, y), z))| compute(first + chunk * ROWS_TO_SHARE, [x, y, z]);
+            return pool.install(|| rows.for_each(chunk));
+        }
+        #[cfg(not(feature = "threads"))]
+        let _ = work;
+        compute(first, columns);
     }
 }

@@ -52,7 +52,7 @@ impl ClosedForm {
 }
 
 /// λ of one damping, and 1/λ.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Decay {
     lambda: DoubleDouble,
     inverse: DoubleDouble,
@@ -63,6 +63,20 @@ impl Decay {
     pub(crate) fn of(damping: f64) -> Self {
         let lambda = lambda(damping);
         Self { lambda, inverse: one(damping) / lambda }
+    }
+
+    /// The same with a resistance of `rate` in 1/s, at least 0, beside the damping.
+    pub(crate) fn faster_by(self, rate: f64) -> Self {
+        if rate == 0.0 || self.lambda.hi == f64::INFINITY {
+            return self;
+        }
+        let lambda = self.lambda + DoubleDouble::from(rate);
+        Self { lambda, inverse: DoubleDouble::new(1.0, 0.0) / lambda }
+    }
+
+    /// λ in 1/s, rounded.
+    pub(crate) fn rate(&self) -> f64 {
+        self.lambda.hi
     }
 
     /// E, φ and ψ over a time up to 2⁴⁰⁰.

@@ -11,7 +11,7 @@
 #![expect(clippy::too_many_arguments, reason = "a hot loop gets plain arguments")]
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use std::ops::{Add, Mul};
 
@@ -69,7 +69,9 @@ pub(crate) fn advance<R: Real>(level: Level, step: Step<R>, drive: Drive<'_, R>,
         Integrator::NewtonEuler => with_acceleration::<R, NewtonEuler>(level, step.h, drive, steps, p, v),
         Integrator::NewtonEulerQuadratic => with_acceleration::<R, Quadratic>(level, step.h, drive, steps, p, v),
         Integrator::SemiImplicitEuler => with_acceleration::<R, SemiImplicit>(level, step.h, drive, steps, p, v),
-        Integrator::Exact => unreachable!("the closed form has no steps"),
+        Integrator::Exact | Integrator::VelocityVerlet | Integrator::Rk4 | Integrator::Dop853 => {
+            unreachable!("only integrators of Euler's kind run here")
+        }
     }
 }
 

@@ -14,6 +14,7 @@ use crate::error::Limits;
 pub(crate) const PARTICLES_MAX: &str = "particles-max";
 pub(crate) const STEPS_MAX: &str = "steps-max";
 pub(crate) const PARTICLE_STEPS_MAX: &str = "particle-steps-max";
+pub(crate) const INTERACTIONS_MAX: &str = "interactions-max";
 pub(crate) const WORLDS_MAX: &str = "worlds-max";
 pub(crate) const BODY_BYTES_MAX: &str = "body-bytes-max";
 pub(crate) const MEMORY_BYTES_MAX: &str = "memory-bytes-max";
@@ -47,7 +48,7 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Listen and answer until SIGTERM or SIGINT, then finish what is in flight and exit with 0.
-    Serve(Config),
+    Serve(Box<Config>),
     /// Exit with 0 when a service answers, with 1 when not.
     Healthcheck {
         /// Where it should answer.
@@ -60,7 +61,7 @@ impl Cli {
     /// The command, `serve` when none is named.
     #[must_use]
     pub fn command(self) -> Command {
-        self.command.unwrap_or(Command::Serve(self.serve))
+        self.command.unwrap_or(Command::Serve(Box::new(self.serve)))
     }
 }
 
@@ -115,6 +116,9 @@ pub struct Config {
     /// The most steps x particles of one advance: some seconds of one core.
     #[arg(long, value_name = "N", env = "POINTMASS_PARTICLE_STEPS_MAX", default_value_t = 20_000_000_000)]
     pub particle_steps_max: u64,
+    /// The most interactions of one advance, under gravitation: half a minute of one core.
+    #[arg(long, value_name = "N", env = "POINTMASS_INTERACTIONS_MAX", default_value_t = 20_000_000_000)]
+    pub interactions_max: u64,
     /// The largest request body where it speaks of many particles: two hundred thousand of them; elsewhere 1 MiB.
     #[arg(long, value_name = "BYTES", env = "POINTMASS_BODY_BYTES_MAX", default_value_t = 64 << 20)]
     pub body_bytes_max: usize,
@@ -144,7 +148,12 @@ impl Default for Config {
 
 impl Config {
     pub(crate) fn limits(&self) -> Limits {
-        Limits { particles: self.particles_max, steps: self.steps_max, particle_steps: self.particle_steps_max }
+        Limits {
+            particles: self.particles_max,
+            steps: self.steps_max,
+            particle_steps: self.particle_steps_max,
+            interactions: self.interactions_max,
+        }
     }
 
     /// How many long advances may run at once. More than cores: the operating system shares those among worlds.

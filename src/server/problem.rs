@@ -50,6 +50,9 @@ pub(crate) enum Code {
     ClockOutOfRange,
     IntegratorOwnsField,
     IntegratorCannotServeDamping,
+    IntegratorCannotServeForces,
+    IntegratorTakesNoSteps,
+    NegativeValue,
     ComputeBudget,
     LimitReached,
     Diverged,
@@ -59,7 +62,7 @@ pub(crate) enum Code {
 }
 
 impl Code {
-    pub(crate) const ALL: [Self; 43] = [
+    pub(crate) const ALL: [Self; 46] = [
         Self::MalformedRequest,
         Self::UriTooLong,
         Self::HeadersTooLarge,
@@ -97,6 +100,9 @@ impl Code {
         Self::ClockOutOfRange,
         Self::IntegratorOwnsField,
         Self::IntegratorCannotServeDamping,
+        Self::IntegratorCannotServeForces,
+        Self::IntegratorTakesNoSteps,
+        Self::NegativeValue,
         Self::ComputeBudget,
         Self::LimitReached,
         Self::Diverged,
@@ -201,6 +207,12 @@ impl Code {
                 "Position and velocity follow from the motion. POST …/impulse changes the velocity, POST …/place teleports."),
             Self::IntegratorCannotServeDamping => ("integrator_cannot_serve_damping", MEANING, "Integrator and damping law do not go together",
                 "The damping law per_step belongs to newton_euler, newton_euler_quadratic and semi_implicit_euler."),
+            Self::IntegratorCannotServeForces => ("integrator_cannot_serve_forces", MEANING, "Integrator and forces do not go together",
+                "exact has no closed form for drag and gravitation. Take velocity_verlet, rk4, dop853 or an Euler integrator."),
+            Self::IntegratorTakesNoSteps => ("integrator_takes_no_steps", MEANING, "The integrator takes no steps",
+                "dop853 chooses its steps by the tolerance of the world. Leave steps out; max_step is the longest it may take."),
+            Self::NegativeValue => ("negative_value", MEANING, "Negative value",
+                "Coefficients of drag, the constant and the softening of gravitation, gravitational masses and tolerances are at least 0."),
             Self::ComputeBudget => ("compute_budget", MEANING, "Over the compute budget",
                 "One request may take so many steps, and so many steps x particles. Advance in several requests, or raise --steps-max or --particle-steps-max."),
             Self::LimitReached => ("limit_reached", MEANING, "Limit reached",
@@ -316,6 +328,19 @@ impl Problem {
             Error::NothingToPlace => Self::new(Code::MissingField, detail),
             Error::ClockOutOfRange => whole(Code::ClockOutOfRange, "duration"),
             Error::IntegratorCannotServeDamping { .. } => Self::new(Code::IntegratorCannotServeDamping, detail),
+            Error::IntegratorCannotServeZeroDamping { place: Some(place), .. } => {
+                at(Code::IntegratorCannotServeDamping, place)
+            }
+            Error::IntegratorCannotServeZeroDamping { place: None, .. } => {
+                Self::new(Code::IntegratorCannotServeDamping, detail)
+            }
+            Error::IntegratorCannotServeForces { .. } => Self::new(Code::IntegratorCannotServeForces, detail),
+            Error::IntegratorTakesNoSteps { .. } => whole(Code::IntegratorTakesNoSteps, "steps"),
+            Error::TooManySteps { .. } => Self::new(Code::ComputeBudget, detail),
+            Error::Negative(place) => at(Code::NegativeValue, place),
+            Error::ToleranceZero => whole(Code::InvalidField, "tolerance"),
+            Error::PlaneWithoutNormal => whole(Code::InvalidField, "until/plane/normal"),
+            Error::TooFewSamples => Self::new(Code::InvalidParameter, detail),
             Error::UnknownParticle { index, .. } => match shape {
                 Shape::Particle => Self::new(Code::UnknownParticle, detail),
                 Shape::Columns | Shape::List => Self::at(Code::UnknownParticle, format!("/ids/{index}"), detail),
@@ -330,6 +355,7 @@ impl Problem {
                     Limit::Particles => (Code::LimitReached, config::PARTICLES_MAX),
                     Limit::Steps => (Code::ComputeBudget, config::STEPS_MAX),
                     Limit::ParticleSteps => (Code::ComputeBudget, config::PARTICLE_STEPS_MAX),
+                    Limit::Interactions => (Code::ComputeBudget, config::INTERACTIONS_MAX),
                 };
                 Self::new(code, format!("{detail} (--{flag})"))
             }

@@ -6,7 +6,7 @@ use serde_json::value::RawValue;
 use utoipa::ToSchema;
 
 use crate::column::Column;
-use crate::command::{Command, Mass, NewParticles, Particle, Selection};
+use crate::command::{Command, Mass, NewParticles, Particle, Properties, Selection};
 use crate::ids::ParticleId;
 use crate::integrator::{DampingLaw, Integrator};
 use crate::real::Precision;
@@ -222,6 +222,7 @@ impl<R: WireReal> ParticleBody<R> {
             acceleration: self.acceleration.map(|Vector(a)| a.into()),
             damping: self.damping.unwrap_or(default.damping),
             mass: mass(self.mass, self.inverse_mass, prefix)?.unwrap_or(default.mass),
+            ..default
         })
     }
 
@@ -297,6 +298,7 @@ impl ColumnsBody<'_> {
                 .unwrap_or(default.acceleration),
             damping: optional_column::<R>(self.damping, "damping")?.unwrap_or(default.damping),
             mass: mass_column(self.mass, self.inverse_mass)?.unwrap_or(default.mass),
+            ..default
         })
     }
 }
@@ -334,12 +336,13 @@ pub(crate) struct SetManyBody<'a> {
 impl SetManyBody<'_> {
     pub(crate) fn command<R: WireReal>(self) -> Result<Command<R>, Problem> {
         refuse_state(self.position.is_some(), self.velocity.is_some())?;
-        Ok(Command::Set {
-            ids: self.ids.map_or(Selection::All, selection),
+        let properties = Properties {
             acceleration: optional_column::<Option<Vector<R>>>(self.acceleration, "acceleration")?,
             damping: optional_column::<R>(self.damping, "damping")?,
             mass: mass_column(self.mass, self.inverse_mass)?,
-        })
+            ..Properties::default()
+        };
+        Ok(Command::Set { ids: self.ids.map_or(Selection::All, selection), properties })
     }
 }
 
@@ -373,12 +376,13 @@ pub(crate) struct SetOneBody<R: WireReal> {
 impl<R: WireReal> SetOneBody<R> {
     pub(crate) fn command(self, id: ParticleId) -> Result<Command<R>, Problem> {
         refuse_state(self.position.is_some(), self.velocity.is_some())?;
-        Ok(Command::Set {
-            ids: id.into(),
+        let properties = Properties {
             acceleration: self.acceleration.map(|own| Column::Uniform(own.map(|Vector(a)| a.into()))),
             damping: self.damping.map(Column::Uniform),
             mass: mass(self.mass, self.inverse_mass, "")?.map(Column::Uniform),
-        })
+            ..Properties::default()
+        };
+        Ok(Command::Set { ids: id.into(), properties })
     }
 }
 

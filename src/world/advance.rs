@@ -2,16 +2,17 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use crate::accumulators::Acting;
 use crate::column::Column;
-use crate::command::{Advance, Advanced, Values};
+use crate::command::{Advance, Advanced, Settings, StepError, Until, Values};
 use crate::double_double::DoubleDouble;
 use crate::error::{Error, Field, Limit, Quantity};
-use crate::forces::Acting;
 use crate::ids::ParticleId;
-use crate::integrator::Integrator;
+use crate::integrator::{DampingLaw, Integrator};
 use crate::kernel::{self, Step};
 use crate::particles::zero;
 use crate::real::Real;
+use crate::system::norm;
 use crate::world::bounds::Bounds;
 use crate::world::change::valid_max_step;
 use crate::world::drive::{BLOCK, Scratch};
@@ -23,7 +24,7 @@ use crate::world::{NEVER_CANCELLED, World};
 pub struct StepPlan {
     /// Seconds.
     pub duration: f64,
-    /// How many steps; always 1 under [`Integrator::Exact`].
+    /// How many steps; 1 under [`Integrator::Exact`], and under [`Integrator::Dop853`], which finds out on the way.
     pub steps: u64,
     /// The length of one in seconds.
     pub step: f64,
@@ -44,13 +45,35 @@ const WORK_IN_PLACE: u64 = 1 << 30;
 /// where the whole does.
 const ROUND_STEPS: u64 = 16 * kernel::STEPS_BETWEEN_RESTS;
 
+/// What an advance did, before the clock has moved.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Done {
+    pub(super) duration: f64,
+    pub(super) steps: u64,
+    pub(super) step: f64,
+    pub(super) rejected_steps: u64,
+    pub(super) evaluations: u64,
+    pub(super) integrated: usize,
+    pub(super) inspected: usize,
+    pub(super) crossed: Option<bool>,
+}
+
+impl Done {
+    /// All steps of the plan.
+    pub(super) fn planned(plan: StepPlan) -> Self {
+        let StepPlan { duration, steps, step } = plan;
+        Self { duration, steps, step, rejected_steps: 0, evaluations: 0, integrated: 0, inspected: 0, crossed: None }
+    }
+}
+
 impl<R: Real> World<R> {
     /// The steps that an advance would take.
     ///
     /// # Errors
     /// As [`World::advance`], for what can be told from the duration and the steps alone.
     pub fn plan(&self, advance: &Advance) -> Result<StepPlan, Error> {
-        let Advance { duration, steps, max_step } = *advance;
+        let Advance { duration, steps, max_step, .. } = *advance;
+        let Settings { integrator, .. } = self.settings;
         if !duration.is_finite() {
             return Err(Error::NotFinite(Field::Duration.whole()));
         }
@@ -62,6 +85,7 @@ impl<R: Real> World<R> {
         }
         let asked = match steps {
             Some(0) => return Err(Error::StepsNotPositive),
+            Some(_) if integrator == Integrator::Dop853 => return Err(Error::IntegratorTakesNoSteps { integrator }),
             Some(steps) => steps,
             None => match max_step.or(self.settings.max_step) {
                 Some(max_step) => steps_of_at_most(duration, valid_max_step(max_step)?),
@@ -72,13 +96,17 @@ impl<R: Real> World<R> {
             if asked > allowed { Err(Error::LimitReached { limit, allowed, asked }) } else { Ok(()) }
         };
         within(Limit::Steps, self.limits.steps.min(u64::MAX - self.step_count), asked)?;
-        let steps = if self.settings.integrator == Integrator::Exact { 1 } else { asked };
+        let steps = if matches!(integrator, Integrator::Exact | Integrator::Dop853) { 1 } else { asked };
         let particle_steps = steps.saturating_mul(self.particles.len() as u64);
         within(Limit::ParticleSteps, self.limits.particle_steps, particle_steps)?;
+        within(Limit::Interactions, self.limits.interactions, self.interactions(steps))?;
         #[expect(clippy::cast_precision_loss, reason = "a step count is a small number")]
         let step = duration / steps as f64;
-        if self.settings.integrator != Integrator::Exact && !R::nearest(step).is_finite() {
+        if integrator != Integrator::Exact && !R::nearest(step).is_finite() {
             return Err(Error::NotFinite(Field::Duration.whole()));
+        }
+        if let Some(until) = &advance.until {
+            self.check_until(until)?;
         }
         Ok(StepPlan { duration, steps, step })
     }
@@ -90,7 +118,10 @@ impl<R: Real> World<R> {
         let particles = self.particles.len() as u64;
         match self.plan(advance) {
             Err(_) => 0,
-            Ok(plan) if self.settings.integrator != Integrator::Exact => particles.saturating_mul(plan.steps),
+            Ok(plan) if self.settings.integrator != Integrator::Exact => {
+                let evaluations = self.settings.integrator.evaluations() * plan.steps;
+                particles.saturating_mul(evaluations).saturating_add(self.interactions(plan.steps))
+            }
             Ok(plan) => {
                 let clock = self.clock + DoubleDouble::from(plan.duration);
                 if self.bounds.hold_until::<R>(clock) {
@@ -116,33 +147,69 @@ impl<R: Real> World<R> {
         }
         let resting = self.particles.resting_count();
         let (accelerations, dampings) = (self.accelerations_used(), self.dampings_used());
-        let (integrated, inspected) = match self.settings.integrator {
-            Integrator::Exact => self.flow(plan, clock, cancelled)?,
-            Integrator::NewtonEuler | Integrator::NewtonEulerQuadratic | Integrator::SemiImplicitEuler => {
-                let inspected = self.step(plan, cancelled)?;
-                self.particles.note_rest_after_steps();
-                self.particles.base_time.set_all(clock);
-                (self.particles.len() - resting, inspected)
-            }
+        let Settings { integrator, forces, .. } = self.settings;
+        let exact = integrator == Integrator::Exact;
+        let before = (advance.report_error && self.has_closed_form() && !exact)
+            .then(|| (self.particles.position.clone(), self.particles.velocity.clone()));
+        let done = if exact {
+            self.flow_until(plan, advance.until, cancelled)?
+        } else if integrator.is_euler() && !forces.any() && advance.until.is_none() {
+            Done { inspected: self.step(plan, cancelled)?, ..Done::planned(plan) }
+        } else {
+            self.step_system(plan, advance, cancelled)?
+        };
+        let clock = self.clock + DoubleDouble::from(done.duration);
+        let integrated = if exact {
+            done.integrated
+        } else {
+            self.particles.note_rest_after_steps();
+            self.particles.base_time.set_all(clock);
+            self.particles.len() - resting
+        };
+        let error = match before {
+            Some(before) => Some(self.error_since(before, done.duration)),
+            None => (exact && advance.report_error).then_some(StepError { position: 0.0, velocity: 0.0 }),
         };
         let used = |values| if integrated == 0 { Values::None } else { values };
         self.particles.force.clear(&self.ids);
         self.bounds.force = 0.0;
         self.clock = clock;
-        self.step_count += plan.steps;
+        self.step_count += done.steps;
         Ok(Advanced {
             time: self.time(),
-            duration: plan.duration,
-            steps: plan.steps,
-            step: plan.step,
+            duration: done.duration,
+            steps: done.steps,
+            step: done.step,
+            rejected_steps: done.rejected_steps,
+            evaluations: done.evaluations,
             step_count: self.step_count,
             integrated,
             deferred: self.particles.len() - resting - integrated,
             skipped: resting,
             accelerations: used(accelerations),
             dampings: used(dampings),
-            inspected,
+            inspected: done.inspected,
+            error,
+            crossed: done.crossed,
         })
+    }
+
+    /// Whether the motion of every particle over an advance has a closed form.
+    fn has_closed_form(&self) -> bool {
+        !self.settings.forces.any() && self.settings.damping_law == DampingLaw::PerSecond
+    }
+
+    /// How far the particles are from the closed form over a duration, from these positions and velocities.
+    fn error_since(&self, (mut p, mut v): (Vec<[R; 3]>, Vec<[R; 3]>), duration: f64) -> StepError {
+        let len = self.particles.len();
+        let mut carrier = Carrier::new(self, Span::By(duration), true, len);
+        let ends = p.chunks_mut(motion::BLOCK).zip(v.chunks_mut(motion::BLOCK));
+        Rows::Range(0..len).blocks().zip(ends).for_each(|(rows, (p, v))| carrier.carry(self, &rows, p, v));
+        let largest = |closed: &[[R; 3]], stepped: &[[R; 3]]| {
+            let apart = |(x, y): (&[R; 3], &[R; 3])| norm(std::array::from_fn(|k| x[k].into() - y[k].into()));
+            closed.iter().zip(stepped).map(apart).fold(0.0, f64::max)
+        };
+        StepError { position: largest(&p, &self.particles.position), velocity: largest(&v, &self.particles.velocity) }
     }
 
     fn accelerations_used(&self) -> Values {
@@ -283,6 +350,16 @@ impl<R: Real> World<R> {
             done += some;
         }
         unreachable!("the same steps end the same way, and what is not finite once stays so")
+    }
+
+    /// The same, which stops where a particle reaches a plane.
+    fn flow_until(&mut self, plan: StepPlan, until: Option<Until>, cancelled: &AtomicBool) -> Result<Done, Error> {
+        let reached = until.map(|until| self.time_to_plane(&until, plan.duration));
+        let duration = reached.flatten().unwrap_or(plan.duration);
+        let plan = StepPlan { duration, step: duration, ..plan };
+        let (integrated, inspected) = self.flow(plan, self.clock + DoubleDouble::from(duration), cancelled)?;
+        let crossed = reached.map(|reached| reached.is_some());
+        Ok(Done { integrated, inspected, crossed, ..Done::planned(plan) })
     }
 
     /// An advance under the closed form: particles with a force move now, the others when they are read. How many moved, and

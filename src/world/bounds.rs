@@ -39,6 +39,11 @@ impl Default for Bounds {
 }
 
 impl Bounds {
+    /// Of anything: they have to be found out when they are needed.
+    pub(super) fn unknown() -> Self {
+        Self { position: f64::INFINITY, velocity: f64::INFINITY, ..Self::default() }
+    }
+
     pub(super) fn of<R: Real>(particles: &Particles<R>, gravity: [R; 3]) -> Self {
         let mut bounds = Self {
             acceleration: magnitude(gravity),

@@ -3,10 +3,11 @@
 use std::collections::{HashMap, HashSet};
 
 use crate::column::Column;
-use crate::command::{Configure, Mass, NewParticles, Outcome, Selection, Settings};
+use crate::command::{Configure, Mass, NewParticles, Outcome, Properties, Selection, Settings, Tolerance};
 use crate::error::{Error, Field, Limit, Place, Quantity};
+use crate::forces::{Drag, Gravitation};
 use crate::ids::ParticleId;
-use crate::particles::New;
+use crate::particles::{New, Residuals, zero};
 use crate::real::Real;
 use crate::world::bounds::{Bounds, magnitude};
 use crate::world::motion::Rows;
@@ -31,13 +32,16 @@ impl<R: Real> World<R> {
         let acceleration = accelerations(&new.acceleration, count)?;
         let damping = dampings(&new.damping, count)?;
         let inverse_mass = inverse_masses(&new.mass, count)?;
+        let drag = drags(&new.drag, count)?;
+        let gravitational_mass = gravitational_masses(&new.gravitational_mass, count)?;
+        self.serve_dampings(&damping, count)?;
         let len = self.particles.len();
         let asked = (len as u64).saturating_add(count as u64);
         if asked > self.limits.particles {
             return Err(Error::LimitReached { limit: Limit::Particles, allowed: self.limits.particles, asked });
         }
-        let new = New { position, velocity, acceleration, damping, inverse_mass };
-        self.particles.extend(&new, count, self.clock);
+        let new = New { position, velocity, acceleration, damping, inverse_mass, drag, gravitational_mass };
+        self.particles.extend(&new, count, self.clock, self.settings.compensated);
         self.factors.forget();
         for row in len..len + count {
             self.bounds.include(&self.particles, row);
@@ -59,11 +63,14 @@ impl<R: Real> World<R> {
         let velocity = velocity.map(|column| vectors(column, Field::Velocity, rows.len())).transpose()?;
         self.rebase_many(&Rows::List(&rows));
         for (i, &row) in rows.iter().enumerate() {
+            let particles = &mut self.particles;
             if let Some(position) = &position {
-                self.particles.position[row] = position.get(i);
+                particles.position[row] = position.get(i);
+                particles.residual.position.get_mut(row).into_iter().for_each(|residual| *residual = zero());
             }
             if let Some(velocity) = &velocity {
-                self.particles.velocity[row] = velocity.get(i);
+                particles.velocity[row] = velocity.get(i);
+                particles.residual.velocity.get_mut(row).into_iter().for_each(|residual| *residual = zero());
             }
             self.particles.note_rest(row);
             self.bounds.include(&self.particles, row);
@@ -71,17 +78,16 @@ impl<R: Real> World<R> {
         Ok(Outcome::Changed { count: rows.len() })
     }
 
-    pub(super) fn set_all(
-        &mut self,
-        ids: &Selection,
-        acceleration: Option<&Column<Option<R::Vec3>>>,
-        damping: Option<&Column<R>>,
-        mass: Option<&Column<Mass<R>>>,
-    ) -> Result<Outcome, Error> {
+    pub(super) fn set_all(&mut self, ids: &Selection, new: &Properties<R>) -> Result<Outcome, Error> {
         let rows = self.rows(ids)?;
-        let acceleration = acceleration.map(|column| accelerations(column, rows.len())).transpose()?;
-        let damping = damping.map(|column| dampings(column, rows.len())).transpose()?;
-        let inverse_mass = mass.map(|column| inverse_masses(column, rows.len())).transpose()?;
+        let count = rows.len();
+        let acceleration = new.acceleration.as_ref().map(|column| accelerations(column, count)).transpose()?;
+        let damping = new.damping.as_ref().map(|column| dampings(column, count)).transpose()?;
+        let inverse_mass = new.mass.as_ref().map(|column| inverse_masses(column, count)).transpose()?;
+        let drag = new.drag.as_ref().map(|column| drags(column, count)).transpose()?;
+        let gravitational_mass =
+            new.gravitational_mass.as_ref().map(|column| gravitational_masses(column, count)).transpose()?;
+        damping.as_ref().map_or(Ok(()), |damping| self.serve_dampings(damping, count))?;
         if acceleration.is_some() || damping.is_some() || inverse_mass.is_some() {
             self.rebase_many(&Rows::List(&rows));
         }
@@ -96,6 +102,8 @@ impl<R: Real> World<R> {
         assign(&mut particles.has_own_acceleration, has_own, &rows, every, len);
         assign(&mut particles.own_acceleration, own, &rows, every, len);
         assign(&mut particles.damping, damping, &rows, every, len);
+        assign(&mut particles.drag, drag, &rows, every, len);
+        assign(&mut particles.gravitational_mass, gravitational_mass, &rows, every, len);
         match inverse_mass {
             None => {}
             Some(Column::Uniform(w)) if every => particles.set_inverse_masses(w),
@@ -211,9 +219,30 @@ impl<R: Real> World<R> {
         }
         settings.integrator = change.integrator.unwrap_or(settings.integrator);
         settings.damping_law = change.damping_law.unwrap_or(settings.damping_law);
-        let Settings { integrator, damping_law, .. } = settings;
+        if let Some(drag) = change.drag {
+            settings.forces.drag = drags(&Column::Uniform(drag), 0)?.get(0);
+        }
+        if let Some(gravitation) = change.gravitation {
+            settings.forces.gravitation = gravitation.map(valid_gravitation).transpose()?;
+        }
+        if let Some(tolerance) = change.tolerance {
+            settings.tolerance = valid_tolerance(tolerance)?;
+        }
+        settings.compensated = change.compensated.unwrap_or(settings.compensated);
+        let Settings { integrator, damping_law, forces, .. } = settings;
         if !integrator.serves(damping_law) {
             return Err(Error::IntegratorCannotServeDamping { integrator, damping_law });
+        }
+        if forces.any() && !integrator.serves_forces() {
+            return Err(Error::IntegratorCannotServeForces { integrator });
+        }
+        let stops_at_once = || self.particles.damping.entries().any(|(_, damping)| damping == R::ZERO);
+        if change.integrator.is_some()
+            && !integrator.serves_zero_damping()
+            && self.particles.len() > 0
+            && stops_at_once()
+        {
+            return Err(Error::IntegratorCannotServeZeroDamping { integrator, place: None });
         }
         let motion_changes = change.integrator.is_some() || change.gravity.is_some();
         if motion_changes {
@@ -222,11 +251,31 @@ impl<R: Real> World<R> {
                 .collect();
             self.rebase_many(&Rows::List(&rows));
         }
+        // Another integrator begins with what can be read.
+        if settings.compensated != self.settings.compensated || change.integrator.is_some() {
+            let len = if settings.compensated { self.particles.len() } else { 0 };
+            self.particles.residual = Residuals::zero(len);
+        }
         self.settings = settings;
         if motion_changes {
             self.bounds = Bounds::of(&self.particles, settings.gravity.into());
         }
         Ok(())
+    }
+
+    /// Refuses dampings that the integrator cannot compute with.
+    fn serve_dampings(&self, dampings: &Column<R>, count: usize) -> Result<(), Error> {
+        let integrator = self.settings.integrator;
+        if integrator.serves_zero_damping() || count == 0 {
+            return Ok(());
+        }
+        match dampings.entries().find(|(_, damping)| *damping == R::ZERO) {
+            None => Ok(()),
+            Some((index, _)) => {
+                let place = Some(Place { field: Field::Damping, index });
+                Err(Error::IntegratorCannotServeZeroDamping { integrator, place })
+            }
+        }
     }
 
     fn follows_gravity(&self, row: usize) -> bool {
@@ -300,6 +349,50 @@ fn dampings<R: Real>(column: &Column<R>, count: usize) -> Result<Column<R>, Erro
         }
     })?;
     Ok(column.map(positive_zero))
+}
+
+/// A number that is finite and at least 0.
+fn check_magnitude<R: Real>(x: R, place: Place) -> Result<(), Error> {
+    if !x.is_finite() {
+        Err(Error::NotFinite(place))
+    } else if x < R::ZERO {
+        Err(Error::Negative(place))
+    } else {
+        Ok(())
+    }
+}
+
+fn drags<R: Real>(column: &Column<Option<Drag<R>>>, count: usize) -> Result<Column<Option<Drag<R>>>, Error> {
+    check_each(column, Field::Drag, count, |drag, place| {
+        let Some(Drag { k1, k2 }) = drag else { return Ok(()) };
+        check_magnitude(k1, Place { field: Field::K1, ..place })?;
+        check_magnitude(k2, Place { field: Field::K2, ..place })
+    })?;
+    Ok(column.map(|drag| drag.map(|Drag { k1, k2 }| Drag { k1: positive_zero(k1), k2: positive_zero(k2) })))
+}
+
+fn gravitational_masses<R: Real>(column: &Column<Option<R>>, count: usize) -> Result<Column<Option<R>>, Error> {
+    check_each(column, Field::GravitationalMass, count, |mass, place| {
+        mass.map_or(Ok(()), |m| check_magnitude(m, place))
+    })?;
+    Ok(column.map(|mass| mass.map(positive_zero)))
+}
+
+fn valid_gravitation<R: Real>(gravitation: Gravitation<R>) -> Result<Gravitation<R>, Error> {
+    let Gravitation { constant, softening } = gravitation;
+    check_magnitude(constant, Field::Constant.whole())?;
+    check_magnitude(softening, Field::Softening.whole())?;
+    Ok(Gravitation { constant: positive_zero(constant), softening: positive_zero(softening) })
+}
+
+fn valid_tolerance(tolerance: Tolerance) -> Result<Tolerance, Error> {
+    let Tolerance { absolute, relative } = tolerance;
+    check_magnitude(absolute, Field::Absolute.whole())?;
+    check_magnitude(relative, Field::Relative.whole())?;
+    if absolute == 0.0 && relative == 0.0 {
+        return Err(Error::ToleranceZero);
+    }
+    Ok(Tolerance { absolute: positive_zero(absolute), relative: positive_zero(relative) })
 }
 
 fn inverse_masses<R: Real>(column: &Column<Mass<R>>, count: usize) -> Result<Column<R>, Error> {

@@ -5,7 +5,8 @@
 //! ```text
 //! "pmworld1"       the name of this form; another form has another name
 //! precision        1 single, 2 double
-//! integrator       1 exact, 2 newton_euler, 3 newton_euler_quadratic, 4 semi_implicit_euler
+//! integrator       1 exact, 2 newton_euler, 3 newton_euler_quadratic, 4 semi_implicit_euler, 5 velocity_verlet, 6 rk4,
+//!                  7 dop853
 //! damping law      1 per_second, 2 per_step
 //! max_step         seconds; 0 when there is none
 //! gravity          x, y, z
@@ -20,6 +21,13 @@
 //!   damping
 //!   inverse mass
 //!   force          x, y, z
+//! then what is not as it is by default, each part after its name, which is larger than any id:
+//!   "pm drag "     k1, k2 of the world
+//!   "pm grav "     constant, softening
+//!   "pm toler"     absolute, relative
+//!   "pm compe"     of each particle what rounding took from x, y, z of its position and of its velocity
+//!   "pm drags"     of each particle 1, k1, k2; or three zeros when it has no drag of its own
+//!   "pm gmass"     of each particle 1 and its gravitational mass; or two zeros when it has none
 //! ```
 //!
 //! A number is the bits of a double, which holds a single as well. Only position and velocity tell -0 from 0; wherever
@@ -29,7 +37,9 @@ use std::fmt::{self, Display};
 
 use sha2::{Digest as _, Sha256};
 
+use crate::command::Tolerance;
 use crate::double_double::DoubleDouble;
+use crate::forces::{Drag, Gravitation};
 use crate::integrator::{DampingLaw, Integrator};
 use crate::particles::zero;
 use crate::real::{Precision, Real};
@@ -84,6 +94,7 @@ impl<R: Real> World<R> {
             }
             self.push_particle(row, &mut words);
         }
+        self.push_parts(&mut words);
         hasher.update(words.as_flattened());
         Digest(hasher.finalize().into())
     }
@@ -100,6 +111,9 @@ impl<R: Real> World<R> {
             Integrator::NewtonEuler => whole(2),
             Integrator::NewtonEulerQuadratic => whole(3),
             Integrator::SemiImplicitEuler => whole(4),
+            Integrator::VelocityVerlet => whole(5),
+            Integrator::Rk4 => whole(6),
+            Integrator::Dop853 => whole(7),
         });
         words.push(match settings.damping_law {
             DampingLaw::PerSecond => whole(1),
@@ -109,6 +123,43 @@ impl<R: Real> World<R> {
         words.extend(self.gravity().map(number));
         words.extend(time(self.clock));
         words.push(whole(self.ids.next()));
+    }
+
+    /// What is not as it is by default.
+    fn push_parts(&self, words: &mut Vec<[u8; 8]>) {
+        let (settings, particles) = (&self.settings, &self.particles);
+        if let Some(Drag { k1, k2 }) = settings.forces.drag {
+            words.extend([*b"pm drag ", number(k1), number(k2)]);
+        }
+        if let Some(Gravitation { constant, softening }) = settings.forces.gravitation {
+            words.extend([*b"pm grav ", number(constant), number(softening)]);
+        }
+        if settings.tolerance != Tolerance::default() {
+            let Tolerance { absolute, relative } = settings.tolerance;
+            words.extend([*b"pm toler", number(absolute), number(relative)]);
+        }
+        if settings.compensated {
+            let residual = &particles.residual;
+            words.push(*b"pm compe");
+            for (position, velocity) in residual.position.iter().zip(&residual.velocity) {
+                words.extend(position.map(number).into_iter().chain(velocity.map(number)));
+            }
+        }
+        let rows = 0..particles.len();
+        if rows.clone().any(|row| particles.drag.get(row).is_some()) {
+            words.push(*b"pm drags");
+            words.extend(rows.clone().flat_map(|row| match particles.drag.get(row) {
+                Some(Drag { k1, k2 }) => [whole(1), number(k1), number(k2)],
+                None => [whole(0); 3],
+            }));
+        }
+        if rows.clone().any(|row| particles.gravitational_mass.get(row).is_some()) {
+            words.push(*b"pm gmass");
+            words.extend(rows.flat_map(|row| match particles.gravitational_mass.get(row) {
+                Some(mass) => [whole(1), number(mass)],
+                None => [whole(0); 2],
+            }));
+        }
     }
 
     fn push_particle(&self, row: usize, words: &mut Vec<[u8; 8]>) {

@@ -44,6 +44,11 @@ impl<R: Real> Factors<R> {
         self.all_damped = damping.entries().all(|(_, damping)| damping < R::ONE);
         self.of = Some((law, h));
     }
+
+    /// D of each of some rows.
+    pub(super) fn of_rows(&self, rows: Range<usize>) -> Vec<R> {
+        rows.map(|row| if self.values.len() == 1 { self.values[0] } else { self.values[row] }).collect()
+    }
 }
 
 /// D: `damping` to the power of h, correctly rounded in double, then rounded to the precision of the world.

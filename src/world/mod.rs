@@ -7,15 +7,19 @@ mod change;
 mod digest;
 mod drive;
 mod motion;
+mod system;
+mod trajectory;
+mod until;
 
 use std::sync::atomic::AtomicBool;
 
 use fearless_simd::Level;
 
 use crate::column::Column;
-use crate::command::{Advance, Advanced, Command, Configure, Mass, Outcome, Particle, Settings};
+use crate::command::{Advance, Advanced, Command, Configure, Mass, Outcome, Particle, Properties, Settings};
 use crate::double_double::DoubleDouble;
 use crate::error::{Error, Limits};
+use crate::forces::Drag;
 use crate::ids::{Ids, ParticleId};
 use crate::particles::Particles;
 use crate::real::Real;
@@ -27,6 +31,7 @@ use motion::{Carrier, Rows, Span};
 pub use advance::StepPlan;
 #[cfg(feature = "digest")]
 pub use digest::Digest;
+pub use trajectory::Trajectory;
 
 /// Particles that move together, in one precision, under one clock.
 ///
@@ -85,6 +90,10 @@ pub struct ParticleState<R: Real = f64> {
     pub inverse_mass: R,
     /// The sum of the forces, in newtons, added since the last advance.
     pub force: R::Vec3,
+    /// Its own drag, if it has one.
+    pub drag: Option<Drag<R>>,
+    /// The mass in kilograms with which it attracts others, if it has one of its own.
+    pub gravitational_mass: Option<R>,
 }
 
 /// Positions and velocities of some particles, as columns of one length.
@@ -137,7 +146,7 @@ impl<R: Real> World<R> {
     /// An empty world at time 0.
     ///
     /// # Errors
-    /// A gravity or `max_step` that is not valid, or an integrator that cannot serve the damping law.
+    /// A value that is not valid, or an integrator that cannot serve the damping law or the forces.
     pub fn new(settings: Settings<R>) -> Result<Self, Error> {
         Self::with_limits(settings, Limits::default())
     }
@@ -167,6 +176,10 @@ impl<R: Real> World<R> {
             gravity: Some(settings.gravity),
             damping_law: Some(settings.damping_law),
             max_step: Some(settings.max_step),
+            drag: Some(settings.forces.drag),
+            gravitation: Some(settings.forces.gravitation),
+            tolerance: Some(settings.tolerance),
+            compensated: Some(settings.compensated),
         })?;
         Ok(world)
     }
@@ -187,9 +200,7 @@ impl<R: Real> World<R> {
         let outcome = match command {
             Command::Create(new) => self.create_columns(new)?,
             Command::Place { ids, position, velocity } => self.place_all(ids, position.as_ref(), velocity.as_ref())?,
-            Command::Set { ids, acceleration, damping, mass } => {
-                self.set_all(ids, acceleration.as_ref(), damping.as_ref(), mass.as_ref())?
-            }
+            Command::Set { ids, properties } => self.set_all(ids, properties)?,
             Command::AddForce { ids, force } => self.add_forces(ids, force)?,
             Command::Impulse { ids, impulse } => self.apply_impulses(ids, impulse)?,
             Command::Remove { ids } => self.remove_all(ids)?,
@@ -226,8 +237,7 @@ impl<R: Real> World<R> {
     /// # Errors
     /// Unknown particle; a value that is not finite.
     pub fn set_acceleration(&mut self, id: ParticleId, acceleration: Option<R::Vec3>) -> Result<(), Error> {
-        let acceleration = Some(Column::Uniform(acceleration));
-        self.apply(&Command::Set { ids: id.into(), acceleration, damping: None, mass: None }).map(drop)
+        self.set(id, Properties { acceleration: Some(Column::Uniform(acceleration)), ..Properties::default() })
     }
 
     /// Sets the share of the velocity that is kept each second.
@@ -235,8 +245,7 @@ impl<R: Real> World<R> {
     /// # Errors
     /// Unknown particle; not between 0 and 1.
     pub fn set_damping(&mut self, id: ParticleId, damping: R) -> Result<(), Error> {
-        let damping = Some(Column::Uniform(damping));
-        self.apply(&Command::Set { ids: id.into(), acceleration: None, damping, mass: None }).map(drop)
+        self.set(id, Properties { damping: Some(Column::Uniform(damping)), ..Properties::default() })
     }
 
     /// Sets the mass in kilograms.
@@ -244,7 +253,7 @@ impl<R: Real> World<R> {
     /// # Errors
     /// Unknown particle; not above 0, or its inverse not finite.
     pub fn set_mass(&mut self, id: ParticleId, mass: R) -> Result<(), Error> {
-        self.set_inertia(id, Mass::Mass(mass))
+        self.set(id, Properties { mass: Some(Column::Uniform(Mass::Mass(mass))), ..Properties::default() })
     }
 
     /// Sets the inverse mass in 1/kg; 0 makes the particle immovable.
@@ -252,12 +261,28 @@ impl<R: Real> World<R> {
     /// # Errors
     /// Unknown particle; below 0 or not finite.
     pub fn set_inverse_mass(&mut self, id: ParticleId, inverse_mass: R) -> Result<(), Error> {
-        self.set_inertia(id, Mass::Inverse(inverse_mass))
+        let mass = Some(Column::Uniform(Mass::Inverse(inverse_mass)));
+        self.set(id, Properties { mass, ..Properties::default() })
     }
 
-    fn set_inertia(&mut self, id: ParticleId, mass: Mass<R>) -> Result<(), Error> {
-        let mass = Some(Column::Uniform(mass));
-        self.apply(&Command::Set { ids: id.into(), acceleration: None, damping: None, mass }).map(drop)
+    /// Gives a particle a drag of its own; `None`: that of the world again. It acts where the world has drag at all.
+    ///
+    /// # Errors
+    /// Unknown particle; a coefficient below 0 or not finite.
+    pub fn set_drag(&mut self, id: ParticleId, drag: Option<Drag<R>>) -> Result<(), Error> {
+        self.set(id, Properties { drag: Some(Column::Uniform(drag)), ..Properties::default() })
+    }
+
+    /// Sets the mass, in kilograms, with which a particle attracts others; `None`: its mass, and 0 if it is immovable.
+    ///
+    /// # Errors
+    /// Unknown particle; below 0 or not finite.
+    pub fn set_gravitational_mass(&mut self, id: ParticleId, mass: Option<R>) -> Result<(), Error> {
+        self.set(id, Properties { gravitational_mass: Some(Column::Uniform(mass)), ..Properties::default() })
+    }
+
+    fn set(&mut self, id: ParticleId, properties: Properties<R>) -> Result<(), Error> {
+        self.apply(&Command::Set { ids: id.into(), properties }).map(drop)
     }
 
     /// Adds a force in newtons; the sum acts through the whole next advance and is then cleared
@@ -473,6 +498,8 @@ impl<R: Real> World<R> {
             damping: particles.damping.get(row),
             inverse_mass: particles.inverse_mass.get(row),
             force: particles.force.get(row).into(),
+            drag: particles.drag.get(row),
+            gravitational_mass: particles.gravitational_mass.get(row),
         }
     }
 }

@@ -1,13 +1,13 @@
 //! The digest of a world: equal if and only if everything that determines its future is.
 
 use pointmass::{
-    Advance, Advanced, Column, Command, Configure, DampingLaw, Digest, Integrator, Limits, Mass, NewParticles, Outcome,
-    Particle, ParticleId, Real, Selection, Settings, Values, World,
+    Advance, Advanced, Column, Command, Configure, DampingLaw, Digest, Error, Integrator, Limits, Mass, NewParticles,
+    Outcome, Particle, ParticleId, Properties, Real, Selection, Settings, Values, World,
 };
 use proptest::prelude::*;
 use serde_json::json;
 
-use crate::physics::Random;
+use crate::physics::{Random, set};
 use crate::service::shared;
 
 type Change<T> = (&'static str, fn(&mut T));
@@ -167,25 +167,29 @@ fn per_particle<R: Real>(command: &Command<R>, world: &World<R>) -> Command<R> {
         Selection::Ids(ids) => ids.len(),
     };
     match command.clone() {
-        Command::Create(NewParticles { count, position, velocity, acceleration, damping, mass }) => {
-            Command::Create(NewParticles {
-                count,
-                position: each(&position, count),
-                velocity: each(&velocity, count),
-                acceleration: each(&acceleration, count),
-                damping: each(&damping, count),
-                mass: each(&mass, count),
-            })
-        }
+        Command::Create(new) => Command::Create(NewParticles {
+            count: new.count,
+            position: each(&new.position, new.count),
+            velocity: each(&new.velocity, new.count),
+            acceleration: each(&new.acceleration, new.count),
+            damping: each(&new.damping, new.count),
+            mass: each(&new.mass, new.count),
+            drag: each(&new.drag, new.count),
+            gravitational_mass: each(&new.gravitational_mass, new.count),
+        }),
         Command::Place { ids, position, velocity } => Command::Place {
             position: position.map(|column| each(&column, n(&ids))),
             velocity: velocity.map(|column| each(&column, n(&ids))),
             ids,
         },
-        Command::Set { ids, acceleration, damping, mass } => Command::Set {
-            acceleration: acceleration.map(|column| each(&column, n(&ids))),
-            damping: damping.map(|column| each(&column, n(&ids))),
-            mass: mass.map(|column| each(&column, n(&ids))),
+        Command::Set { ids, properties } => Command::Set {
+            properties: Properties {
+                acceleration: properties.acceleration.map(|column| each(&column, n(&ids))),
+                damping: properties.damping.map(|column| each(&column, n(&ids))),
+                mass: properties.mass.map(|column| each(&column, n(&ids))),
+                drag: properties.drag.map(|column| each(&column, n(&ids))),
+                gravitational_mass: properties.gravitational_mass.map(|column| each(&column, n(&ids))),
+            },
             ids,
         },
         Command::AddForce { ids, force } => Command::AddForce { force: each(&force, n(&ids)), ids },
@@ -199,17 +203,17 @@ fn any_command<R: Real>(random: &mut Random, ids: &mut Vec<ParticleId>) -> Comma
     let one = random.particle::<R>();
     match random.below(8) {
         0 => Command::Create(NewParticles { count: random.below(4), ..one.into() }),
-        1 => Command::Set {
-            ids: Selection::All,
-            acceleration: (random.below(2) == 0).then_some(Column::Uniform(one.acceleration)),
-            damping: Some(Column::Uniform(one.damping)),
-            mass: (random.below(2) == 0).then_some(Column::Uniform(one.mass)),
-        },
+        1 => {
+            let acceleration = (random.below(2) == 0).then_some(Column::Uniform(one.acceleration));
+            let mass = (random.below(2) == 0).then_some(Column::Uniform(one.mass));
+            set(Selection::All, acceleration, Some(Column::Uniform(one.damping)), mass)
+        }
         2 => Command::Configure(Configure {
             gravity: random.one_of(&[None, Some(one.velocity)]),
             integrator: random.one_of(&Integrator::ALL.map(Some)),
             damping_law: random.one_of(&[None, Some(DampingLaw::PerSecond), Some(DampingLaw::PerStep)]),
             max_step: random.one_of(&[None, Some(None), Some(Some(0.125))]),
+            ..Configure::default()
         }),
         3 | 4 => Command::Advance(Advance { steps: random.one_of(&[None, Some(70)]), ..Advance::by(random.unit()) }),
         _ => random.command(ids),
@@ -226,6 +230,15 @@ fn without_shape(outcome: Outcome) -> Outcome {
     }
 }
 
+/// And which entry of a list it is where there is none.
+fn without_place(error: Error) -> Error {
+    if let Error::IntegratorCannotServeZeroDamping { integrator, .. } = error {
+        Error::IntegratorCannotServeZeroDamping { integrator, place: None }
+    } else {
+        error
+    }
+}
+
 /// Three worlds with the same commands: one that is never read, one that is read all the time, and one in which every
 /// value is given for each particle.
 fn check_same_commands<R: Real>(seeds: &[u64]) -> Result<(), TestCaseError> {
@@ -236,8 +249,8 @@ fn check_same_commands<R: Real>(seeds: &[u64]) -> Result<(), TestCaseError> {
         let command = any_command(random, &mut ids);
         let outcome = read.apply(&command);
         prop_assert_eq!(silent.apply(&command), outcome, "{:?}", command);
-        let seen = each.apply(&per_particle(&command, &each)).map(without_shape);
-        prop_assert_eq!(seen, outcome.map(without_shape), "{:?}", command);
+        let seen = each.apply(&per_particle(&command, &each)).map(without_shape).map_err(without_place);
+        prop_assert_eq!(seen, outcome.map(without_shape).map_err(without_place), "{:?}", command);
         let states = read.particles().filter(|_| random.below(2) == 0).filter(|state| read.particle(state.id).is_ok());
         prop_assert!(states.count() <= read.particle_count());
         prop_assert_eq!(read.digest(), each.digest(), "for each particle, {:?}", command);

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use pointmass::{
-    Advance, Column, Command, Configure, DampingLaw, Digest, Error, Integrator, Mass, NewParticles, Particle,
-    ParticleId, Precision, Real, Selection, Settings, Threads, World,
+    Advance, Column, Command, Configure, DampingLaw, Digest, Drag, Error, Gravitation, Integrator, Mass, NewParticles,
+    Particle, ParticleId, Precision, Real, Selection, Settings, Threads, Tolerance, World,
 };
 
-use crate::physics::Random;
+use crate::physics::{Random, in_steps, served_damping, set};
 
 /// Lines of scene, integrator, precision and digest.
 const PINNED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden.txt");
@@ -70,7 +70,7 @@ fn scenes<R: Real>() -> [Scene<R>; 20] {
             play.create(256, &[0.9, 0.5, 1e-3], &[1.0], Own::All);
             play.frames(&[(1.0 / 60.0, 2), (2.5, 64)]);
             let acceleration = Some(Column::Uniform(Some(play.random.vector(5.0).into())));
-            play.apply(&Command::Set { ids: Selection::All, acceleration, damping: None, mass: None });
+            play.apply(&set(Selection::All, acceleration, None, None));
             play.frames(&[(0.3, 5)]);
         }),
         ("immovable", PerSecond, |play| {
@@ -172,6 +172,53 @@ fn scenes<R: Real>() -> [Scene<R>; 20] {
     ]
 }
 
+/// Those with forces, under every integrator that computes with them.
+fn scenes_with_forces<R: Real>() -> [Scene<R>; 4] {
+    use DampingLaw::PerSecond;
+    [
+        ("drag", PerSecond, |play| {
+            play.forces(Some(Drag { k1: R::nearest(0.1), k2: R::nearest(0.02) }), None);
+            play.create(257, &[1.0, 0.9], &[1.0, 0.25, 0.0], Own::Some);
+            for id in (0..257).step_by(5) {
+                let drag = Drag { k1: R::nearest(play.random.unit()), k2: R::ZERO };
+                play.world.set_drag(ParticleId(id), Some(drag)).expect("valid");
+            }
+            play.frames(&[(1.0 / 60.0, 1), (0.5, 30)]);
+            play.push(50.0);
+            play.frames(&[(0.1, 3)]);
+        }),
+        ("gravitation", PerSecond, |play| {
+            play.forces(None, Some(Gravitation { constant: R::nearest(50.0), softening: R::HALF }));
+            play.create(300, &[1.0], &[1.0, 0.3, 0.0], Own::None);
+            for id in (0..300).step_by(7) {
+                let mass = [None, Some(R::ZERO), Some(R::nearest(3.0))][play.random.below(3)];
+                play.world.set_gravitational_mass(ParticleId(id), mass).expect("valid");
+            }
+            play.frames(&[(1.0 / 60.0, 1), (0.3, 9)]);
+        }),
+        ("all_forces", PerSecond, |play| {
+            play.apply(&Command::Configure(Configure { compensated: Some(true), ..Configure::default() }));
+            let drag = Drag { k1: R::nearest(0.01), k2: R::nearest(0.05) };
+            play.forces(Some(drag), Some(Gravitation { constant: R::nearest(1e-3), softening: R::ZERO }));
+            play.create(40, &[1.0, 0.9, 0.5], &[1.0, 0.5, 0.0], Own::Some);
+            play.push(20.0);
+            play.frames(&[(0.1, 3), (1.0, 70)]);
+        }),
+        // So near and so far that every pair is computed by itself.
+        ("near_and_far", PerSecond, |play| {
+            let is_single = R::PRECISION == Precision::Single;
+            let (near, far, constant) = if is_single { (1e-18, 1e25, 1e-36) } else { (1e-140, 1e200, 1e-280) };
+            play.forces(None, Some(Gravitation { constant: R::nearest(constant), softening: R::ZERO }));
+            for scale in [1.0, near, far] {
+                let particle = || Particle { position: play.random.vector(scale).into(), ..Particle::default() };
+                let particles = std::iter::repeat_with(particle).take(3).collect();
+                play.apply(&Command::Create(particles));
+            }
+            play.frames(&[(1e-12, 3)]);
+        }),
+    ]
+}
+
 const DAMPINGS: [f64; 8] = [1.0, 1.0, 0.999, 0.9, 0.5, 1e-3, 1e-30, 0.0];
 
 /// Which particles have an acceleration of their own.
@@ -183,13 +230,19 @@ enum Own {
 }
 
 impl<R: Real> Play<R> {
+    fn forces(&mut self, drag: Option<Drag<R>>, gravitation: Option<Gravitation<R>>) {
+        let (drag, gravitation) = (Some(drag), Some(gravitation));
+        let tolerance = Some(Tolerance { absolute: 1e-5, relative: 1e-5 });
+        self.apply(&Command::Configure(Configure { drag, gravitation, tolerance, ..Configure::default() }));
+    }
+
     #[track_caller]
     fn apply(&mut self, command: &Command<R>) {
         self.world.apply(command).expect("valid");
     }
 
     fn create(&mut self, count: usize, dampings: &[f64], inverse_masses: &[f64], own: Own) {
-        let random = &mut self.random;
+        let (random, integrator) = (&mut self.random, self.world.settings().integrator);
         let particles = (0..count).map(|_| Particle {
             position: random.vector(100.0).into(),
             velocity: random.vector(30.0).into(),
@@ -198,8 +251,9 @@ impl<R: Real> Play<R> {
                 Own::Some => [None, Some([R::ZERO; 3].into()), Some(random.vector(20.0).into())][random.below(3)],
                 Own::All => Some(random.vector(20.0).into()),
             },
-            damping: R::nearest(random.one_of(dampings)),
+            damping: served_damping(integrator, R::nearest(random.one_of(dampings))),
             mass: Mass::Inverse(R::nearest(random.one_of(inverse_masses))),
+            ..Particle::default()
         });
         let command = Command::Create(particles.collect());
         self.apply(&command);
@@ -224,7 +278,7 @@ impl<R: Real> Play<R> {
     #[track_caller]
     fn frames(&mut self, frames: &[(f64, u64)]) {
         for &(duration, steps) in frames {
-            self.world.advance(Advance { steps: Some(steps), ..Advance::by(duration) }).expect("finite");
+            self.world.advance(in_steps(self.world.settings().integrator, steps, duration)).expect("finite");
         }
     }
 }
@@ -233,7 +287,7 @@ impl<R: Real> Play<R> {
 fn play<R: Real>(scene: &Scene<R>, integrator: Integrator, threads: &Threads) -> Digest {
     let &(_, damping_law, scene) = scene;
     let gravity = [R::nearest(0.25), R::nearest(-9.75), R::ZERO].into();
-    let settings = Settings { integrator, damping_law, gravity, max_step: None };
+    let settings = Settings { integrator, damping_law, gravity, ..Settings::default() };
     let mut world = World::new(settings).expect("it serves the law");
     world.set_threads(threads);
     let mut play = Play { world, random: Random(1) };
@@ -249,14 +303,23 @@ fn seen<R: Real>() -> Vec<String> {
     let threads = [1, 2, 3].map(|count| Threads::new(count).expect("they start"));
     let mut lines = Vec::new();
     for scene in &scenes::<R>() {
-        for integrator in Integrator::ALL.into_iter().filter(|integrator| integrator.serves(scene.1)) {
-            let place = format!("{} {integrator} {}", scene.0, R::PRECISION);
-            let [one, several @ ..] = threads.each_ref().map(|threads| play(scene, integrator, threads));
-            assert!(several.iter().all(|digest| *digest == one), "{place} with one thread, with two and with three");
-            lines.push(format!("{place} {one}"));
-        }
+        // Damping is too strong for the steps of some.
+        let serves = |integrator: &Integrator| integrator.serves(scene.1) && integrator.serves_zero_damping();
+        lines.extend(Integrator::ALL.into_iter().filter(serves).map(|integrator| line(scene, integrator, &threads)));
+    }
+    for scene in &scenes_with_forces::<R>() {
+        let serves = |integrator: &Integrator| integrator.serves_forces();
+        lines.extend(Integrator::ALL.into_iter().filter(serves).map(|integrator| line(scene, integrator, &threads)));
     }
     lines
+}
+
+/// The digest at the end of a scene, with any number of threads.
+fn line<R: Real>(scene: &Scene<R>, integrator: Integrator, threads: &[Threads; 3]) -> String {
+    let place = format!("{} {integrator} {}", scene.0, R::PRECISION);
+    let [one, several @ ..] = threads.each_ref().map(|threads| play(scene, integrator, threads));
+    assert!(several.iter().all(|digest| *digest == one), "{place} with one thread, with two and with three");
+    format!("{place} {one}")
 }
 
 #[test]

@@ -13,6 +13,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use crate::physics::set;
 use crate::service::{Client, shared};
 
 /// A number that JSON carries in its own precision.
@@ -149,6 +150,7 @@ impl<R: Number> Lockstep<R> {
             acceleration: own.map(Into::into),
             damping: share(seeds[4]),
             mass,
+            ..Particle::default()
         };
         let json = json!({
             "position": vector::<R>(seeds[0]), "velocity": vector::<R>(seeds[1]), "acceleration": own,
@@ -200,41 +202,31 @@ impl<R: Number> Lockstep<R> {
             }
             3 => {
                 let (mass, json) = mass(s[3]);
-                let command = Command::Set {
-                    ids: ParticleId(id).into(),
-                    acceleration: None,
-                    damping: None,
-                    mass: Some(Column::Uniform(mass)),
-                };
+                let command = set(ParticleId(id).into(), None, None, Some(Column::Uniform(mass)));
                 (command, "PUT", of(id, "/mass"), json)
             }
             4 => {
-                let command = Command::Set {
-                    ids: ParticleId(id).into(),
-                    acceleration: Some(Column::Uniform(own.map(Into::into))),
-                    damping: Some(Column::Uniform(share(s[4]))),
-                    mass: None,
-                };
+                let command = set(
+                    ParticleId(id).into(),
+                    Some(Column::Uniform(own.map(Into::into))),
+                    Some(Column::Uniform(share(s[4]))),
+                    None,
+                );
                 (command, "PATCH", of(id, ""), json!({"acceleration": own, "damping": share::<R>(s[4])}))
             }
             5 => {
                 let dampings: Vec<R> = (0..ids.len()).map(|k| share(s[4].rotate_left(k as u32))).collect();
                 let json = json!({"ids": ids, "damping": dampings, "acceleration": own});
-                let command = Command::Set {
-                    ids: selected,
-                    acceleration: Some(Column::Uniform(own.map(Into::into))),
-                    damping: Some(Column::PerParticle(dampings)),
-                    mass: None,
-                };
+                let command = set(
+                    selected,
+                    Some(Column::Uniform(own.map(Into::into))),
+                    Some(Column::PerParticle(dampings)),
+                    None,
+                );
                 (command, "PATCH", particles, json)
             }
             6 => {
-                let command = Command::Set {
-                    ids: Selection::All,
-                    acceleration: None,
-                    damping: Some(Column::Uniform(share(s[4]))),
-                    mass: None,
-                };
+                let command = set(Selection::All, None, Some(Column::Uniform(share(s[4]))), None);
                 (command, "PATCH", particles, json!({"damping": share::<R>(s[4])}))
             }
             7 => {
@@ -288,7 +280,7 @@ impl<R: Number> Lockstep<R> {
                     json = merged(json, json!({"max_step": max_step}));
                 }
                 (
-                    Command::Advance(Advance { duration, steps, max_step }),
+                    Command::Advance(Advance { steps, max_step, ..Advance::by(duration) }),
                     "POST",
                     format!("{}/advance", self.path),
                     json,
@@ -380,7 +372,8 @@ impl<R: Number> Lockstep<R> {
 }
 
 fn run<R: Number>(integrator: Integrator, law: DampingLaw, gravity: u64, steps: &[Step]) -> Result<(), TestCaseError> {
-    let settings = Settings { integrator, gravity: vector::<R>(gravity).into(), damping_law: law, max_step: None };
+    let settings =
+        Settings { integrator, gravity: vector::<R>(gravity).into(), damping_law: law, ..Settings::default() };
     let mut lockstep = Lockstep::<R>::new(settings);
     for step in steps {
         lockstep.step(step)?;

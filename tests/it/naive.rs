@@ -72,7 +72,9 @@ fn advance<R: Real>(
                     v[k] = (v[k] + total * h) * factor;
                     p[k] = p[k] + v[k] * h;
                 }
-                Integrator::Exact => unreachable!("it has no steps to transcribe"),
+                Integrator::Exact | Integrator::VelocityVerlet | Integrator::Rk4 | Integrator::Dop853 => {
+                    unreachable!("only Euler's kind is transcribed")
+                }
             }
             let magnitude: f64 = v[k].abs().into();
             if d64 < 1.0 && (step % 64 == 0 || step == steps) && magnitude < rest {
@@ -121,7 +123,7 @@ fn check_agrees<R: Real>(integrator: Integrator, damping_law: DampingLaw, seed: 
     let random = &mut Random(seed);
     let powers = powers();
     let gravity = [R::ZERO, R::nearest(-9.80665), R::nearest(0.1)];
-    let settings = Settings { integrator, damping_law, gravity: gravity.into(), max_step: None };
+    let settings = Settings { integrator, damping_law, gravity: gravity.into(), ..Settings::default() };
     let mut model: Vec<Naive<R>> = (0..300).map(|_| particle(random)).collect();
     let mut world = World::new(settings).expect("an Euler integrator serves both laws");
     let new = model.iter().map(|n| Particle {
@@ -130,6 +132,7 @@ fn check_agrees<R: Real>(integrator: Integrator, damping_law: DampingLaw, seed: 
         acceleration: n.own.map(Into::into),
         damping: n.d,
         mass: Mass::Inverse(n.w),
+        ..Particle::default()
     });
     world.apply(&Command::Create(new.collect())).expect("every value is in range");
     for round in 0..2 * PLANS.len() {
@@ -169,7 +172,7 @@ fn check_agrees<R: Real>(integrator: Integrator, damping_law: DampingLaw, seed: 
 
 #[test]
 fn stepped_worlds_agree_with_the_formulas_to_the_bit() {
-    for integrator in Integrator::ALL.into_iter().filter(|&integrator| integrator != Integrator::Exact) {
+    for integrator in Integrator::ALL.into_iter().filter(|integrator| integrator.is_euler()) {
         for damping_law in DampingLaw::ALL {
             for seed in 1..=3 {
                 check_agrees::<f32>(integrator, damping_law, seed);

@@ -4,8 +4,8 @@ use std::sync::atomic::AtomicBool;
 
 use pointmass::{
     Advance, Advanced, Column, Command, Configure, DampingLaw, Error, Field, Integrator, Limit, Limits, Mass,
-    NewParticles, Outcome, Particle, ParticleId, ParticleState, Place, Precision, Quantity, Real, Selection, Settings,
-    World,
+    NewParticles, Outcome, Particle, ParticleId, ParticleState, Place, Precision, Properties, Quantity, Real,
+    Selection, Settings, World,
 };
 use proptest::prelude::*;
 
@@ -54,6 +54,7 @@ impl Random {
             acceleration: if self.below(3) == 0 { Some(self.vector(20.0).into()) } else { None },
             damping: R::nearest(self.one_of(&[1.0, 1.0, 0.999, 0.9, 0.5, 1e-3, 0.0])),
             mass: Mass::Inverse(R::nearest(self.one_of(&[0.0, 1.0, 0.25, 1.0 / 3.0, 12.0]))),
+            ..Particle::default()
         }
     }
 
@@ -77,18 +78,49 @@ impl Random {
                 position: Some(self.column(n, |r| r.vector(50.0).into())),
                 velocity: (self.below(2) == 0).then(|| self.column(n, |r| r.vector(50.0).into())),
             },
-            2 => Command::Set {
-                ids: ids_of,
-                acceleration: (self.below(2) == 0).then(|| self.column(n, |r| r.particle::<R>().acceleration)),
-                damping: (self.below(2) == 0).then(|| self.column(n, |r| r.particle::<R>().damping)),
-                mass: Some(self.column(n, |r| r.particle::<R>().mass)),
-            },
+            2 => {
+                let acceleration = (self.below(2) == 0).then(|| self.column(n, |r| r.particle::<R>().acceleration));
+                let damping = (self.below(2) == 0).then(|| self.column(n, |r| r.particle::<R>().damping));
+                let mass = Some(self.column(n, |r| r.particle::<R>().mass));
+                set(ids_of, acceleration, damping, mass)
+            }
             3 => Command::AddForce { ids: ids_of, force: self.column(n, |r| r.vector(50.0).into()) },
             4 => Command::Impulse { ids: ids_of, impulse: self.column(n, |r| r.vector(50.0).into()) },
             _ if ids.is_empty() => Command::Remove { ids: ids_of },
             _ => Command::Remove { ids: ids.swap_remove(self.below(ids.len())).into() },
         }
     }
+}
+
+/// An advance in so many steps; without them under an integrator that chooses its own.
+pub(crate) fn in_steps(integrator: Integrator, steps: u64, duration: f64) -> Advance {
+    let steps = Some(steps).filter(|_| integrator != Integrator::Dop853);
+    Advance { steps, ..Advance::by(duration) }
+}
+
+/// A damping of 0 as one that every integrator can compute with, where it is asked to.
+pub(crate) fn served_damping<R: Real>(integrator: Integrator, damping: R) -> R {
+    if damping == R::ZERO && !integrator.serves_zero_damping() { R::HALF } else { damping }
+}
+
+/// Those in which every particle moves as if it were alone: not with steps that are common to all.
+fn alone() -> impl Iterator<Item = Integrator> {
+    Integrator::ALL.into_iter().filter(|integrator| *integrator != Integrator::Dop853)
+}
+
+/// What a random command may meet: the rest is a fault of the test.
+fn is_refusal_of_integrator(error: &Error) -> bool {
+    matches!(error, Error::IntegratorCannotServeZeroDamping { .. } | Error::IntegratorTakesNoSteps { .. })
+}
+
+/// Sets these properties, and no others.
+pub(crate) fn set<R: Real>(
+    ids: Selection,
+    acceleration: Option<Column<Option<R::Vec3>>>,
+    damping: Option<Column<R>>,
+    mass: Option<Column<Mass<R>>>,
+) -> Command<R> {
+    Command::Set { ids, properties: Properties { acceleration, damping, mass, ..Properties::default() } }
 }
 
 /// What failure messages begin with.
@@ -161,7 +193,9 @@ fn check_unchanged<R: Real>(scene: &str, before: &World<R>, after: &World<R>) {
 fn world<R: Real>(integrator: Integrator, particles: &[Particle<R>]) -> World<R> {
     let gravity = [R::nearest(0.25), R::nearest(-9.75), R::ZERO].into();
     let mut world = World::new(Settings { integrator, gravity, ..Settings::default() }).expect("valid settings");
-    world.apply(&Command::Create(particles.iter().copied().collect())).expect("valid particles");
+    let served =
+        |particle: &Particle<R>| Particle { damping: served_damping(integrator, particle.damping), ..*particle };
+    world.apply(&Command::Create(particles.iter().map(served).collect())).expect("valid particles");
     world
 }
 
@@ -300,9 +334,10 @@ fn check_reads<R: Real>(integrator: Integrator, seeds: &[u64]) {
             _ => random.command(&mut ids),
         };
         disturb(&mut disturbed, random);
-        let outcome = silent.apply(&command).expect("small numbers");
-        assert_eq!(disturbed.apply(&command), Ok(outcome));
-        if let Outcome::Created { first, count } = outcome {
+        let outcome = silent.apply(&command);
+        assert_eq!(disturbed.apply(&command), outcome);
+        assert!(outcome.is_ok() || outcome.is_err_and(|error| is_refusal_of_integrator(&error)), "{outcome:?}");
+        if let Ok(Outcome::Created { first, count }) = outcome {
             ids.extend((first.0..first.0 + count as u64).map(ParticleId));
         }
     }
@@ -332,7 +367,9 @@ fn check_crowd<R: Real>(integrator: Integrator, seed: u64) {
     let mut others: Vec<ParticleId> = (0..5).map(ParticleId).collect();
     let at = scene::<R>(&format!("crowd {seed}"), integrator);
     for round in 0..30 {
-        if let Outcome::Created { first, count } = crowded.apply(&random.command(&mut others)).expect("small numbers") {
+        let outcome = crowded.apply(&random.command(&mut others));
+        assert!(outcome.is_ok() || outcome.is_err_and(|error| is_refusal_of_integrator(&error)), "{outcome:?}");
+        if let Ok(Outcome::Created { first, count }) = outcome {
             others.extend((first.0..first.0 + count as u64).map(ParticleId));
         }
         let (duration, force, id) = (random.unit() + 0.01, random.vector::<R>(40.0).into(), round % 4);
@@ -340,7 +377,7 @@ fn check_crowd<R: Real>(integrator: Integrator, seed: u64) {
             if round % 3 == 0 {
                 world.add_force(ParticleId(first + id), force).expect("small numbers");
             }
-            world.advance(Advance { steps: Some(1 + round % 3), ..Advance::by(duration) }).expect("small numbers");
+            world.advance(in_steps(integrator, 1 + round % 3, duration)).expect("small numbers");
         }
     }
     // One is read on its own and one after others, with which it shares what the closed form has computed.
@@ -351,7 +388,7 @@ fn check_crowd<R: Real>(integrator: Integrator, seed: u64) {
 
 #[test]
 fn what_happens_to_other_particles_changes_no_bit() {
-    for integrator in Integrator::ALL {
+    for integrator in alone() {
         for seed in 1..=10 {
             check_crowd::<f32>(integrator, seed);
             check_crowd::<f64>(integrator, seed);
@@ -398,7 +435,7 @@ fn check_rebase<R: Real>(name: &str, rebases: bool, command: &Command<R>, own: b
 fn exact_rebases_when_it_must_and_only_then() {
     fn each_precision<R: Real>() {
         let gravity = *world::<R>(Integrator::Exact, &[]).settings();
-        let set = |acceleration, damping, mass| Command::Set { ids: EVERY, acceleration, damping, mass };
+        let set = |acceleration, damping, mass| set(EVERY, acceleration, damping, mass);
         let uniform = |x: f64| Some(Column::Uniform(R::nearest(x)));
         let none = Some(Column::Uniform(None));
         let zero = Column::Uniform(R::Vec3::default());
@@ -440,6 +477,7 @@ fn check_force_is_a_flow<R: Real>(damping: f64, own: Option<[f64; 3]>) {
         acceleration: own.map(vector),
         damping: R::nearest(damping),
         mass: Mass::Mass(R::nearest(8.0)),
+        ..Particle::default()
     };
     let (mut forced, mut driven) = (world(Integrator::Exact, &[particle]), world(Integrator::Exact, &[particle]));
     let id = ParticleId(0);
@@ -564,7 +602,7 @@ fn check_first_law<R: Real>(integrator: Integrator) {
         .collect();
     let mut world = world(integrator, &particles);
     for steps in [1, 1000] {
-        world.advance(Advance { steps: Some(steps), ..Advance::by(33.3) }).expect("small numbers");
+        world.advance(in_steps(integrator, steps, 33.3)).expect("small numbers");
     }
     let at = scene::<R>("first law", integrator);
     for (velocity, state) in velocities.into_iter().zip(world.particles()) {
@@ -601,7 +639,7 @@ fn check_mass<R: Real>(integrator: Integrator, seed: u64) {
         carried.apply(&Command::Impulse { ids: EVERY, impulse: Column::Uniform(R::Vec3::default()) }).expect("finite");
         check_bits(&at("force"), ParticleId(1), "force", [R::ONE; 3], state(&immovable, 1).force);
         for world in [&mut falling, &mut carried, &mut immovable] {
-            world.advance(Advance { steps: Some(steps), ..Advance::by(0.8) }).expect("small numbers");
+            world.advance(in_steps(integrator, steps, 0.8)).expect("small numbers");
         }
         for heavy in falling.particles() {
             check_bits(&at("fall"), heavy.id, "position", state(&falling, 0).position, heavy.position);
@@ -638,12 +676,14 @@ fn check_momentum<R: Real>(integrator: Integrator, steps: u32) {
     let mut world = World::<R>::new(Settings { integrator, ..Settings::default() }).expect("valid settings");
     let id = world.create(Particle { mass: Mass::Mass(R::nearest(mass)), ..Particle::default() }).expect("valid");
     world.add_force(id, force.into()).expect("a finite force");
-    world.advance(Advance { steps: Some(steps.into()), ..Advance::by(duration) }).expect("small numbers");
+    world.advance(in_steps(integrator, steps.into(), duration)).expect("small numbers");
+    // Weights of the stages, the largest of which cancel, round as well.
+    let weights = if matches!(integrator, Integrator::Rk4 | Integrator::Dop853) { 24.0 } else { 0.0 };
     let velocity = state(&world, 0).velocity.into();
     for k in 0..3 {
         let given = force[k].into() * duration;
         let error = (velocity[k].into() * mass - given) / given;
-        let bound = (f64::from(steps) + 5.0) * unit;
+        let bound = (f64::from(steps) + 5.0 + weights) * unit;
         let at = scene::<R>(&format!("momentum in {steps} steps"), integrator);
         assert!(error.abs() <= bound, "{at}: off by {error:e} of F T, not {bound:e}; velocity {}", show(velocity[k]));
     }
@@ -700,8 +740,10 @@ fn check_order<R: Real>(integrator: Integrator) {
     let Some(order) = integrator.order() else { return };
     let first = match (R::PRECISION, order) {
         (Precision::Single, 1) => 8,
-        (Precision::Single, _) => return,
-        (Precision::Double, _) => 64,
+        (Precision::Double, 1) => 64,
+        (Precision::Double, 4) => 4,
+        // Nothing here depends on position: `velocity_verlet` has no error, and `dop853` chooses its steps.
+        (Precision::Single | Precision::Double, _) => return,
     };
     let vector = |x: [f64; 3]| -> R::Vec3 { x.map(R::nearest).into() };
     let particle = Particle { velocity: vector([30.0, 40.0, 5.0]), damping: R::nearest(0.9), ..Particle::default() };
@@ -747,7 +789,7 @@ fn the_bias_of_the_book_at_terminal_velocity() {
 /// The steps of an advance; `exact` checks what was asked and takes one step.
 #[track_caller]
 fn check_steps(of_world: Option<f64>, advance: Advance, steps: u64) {
-    for integrator in Integrator::ALL {
+    for integrator in Integrator::ALL.into_iter().filter(|integrator| *integrator != Integrator::Dop853) {
         let settings = Settings { integrator, max_step: of_world, ..Settings::default() };
         let mut world = World::<f64>::new(settings).expect("valid settings");
         let plan = world.plan(&advance).expect("a valid advance");
@@ -818,7 +860,11 @@ fn check_report<R: Real>(integrator: Integrator) {
             integrated,
             deferred: 3 - integrated,
             skipped: 2,
-            inspected: 0,
+            inspected: report.inspected,
+            rejected_steps: 0,
+            evaluations: report.evaluations,
+            error: None,
+            crossed: None,
             // tests/it/skips.rs has these.
             accelerations: report.accelerations,
             dampings: report.dampings,
@@ -831,7 +877,7 @@ fn check_report<R: Real>(integrator: Integrator) {
 
 #[test]
 fn report_of_an_advance() {
-    for integrator in Integrator::ALL {
+    for integrator in alone() {
         check_report::<f32>(integrator);
         check_report::<f64>(integrator);
     }
@@ -872,7 +918,7 @@ fn check_divergence<R: Real>(
 
 #[test]
 fn divergence_names_the_smallest_id_and_changes_nothing() {
-    for integrator in Integrator::ALL {
+    for integrator in alone() {
         let exact = integrator == Integrator::Exact;
         let kicked_first = integrator == Integrator::SemiImplicitEuler;
         // Under `exact` everything happens in its one step, at the new clock.
@@ -934,7 +980,7 @@ fn exact_sees_every_overflow() {
             ("fast", place(None, column(1.0 / 20.0))),
             ("hit", Command::Impulse { ids: EVERY, impulse: Column::Uniform(along_x(1.0 / 20.0)) }),
             ("pushed", Command::AddForce { ids: EVERY, force: Column::Uniform(along_x(1.0 / 150.0)) }),
-            ("accelerated", Command::Set { ids: EVERY, acceleration, damping: None, mass: None }),
+            ("accelerated", set(EVERY, acceleration, None, None)),
             ("falling", Command::Configure(Configure { gravity, ..Configure::default() })),
         ];
         for (name, command) in rows {
@@ -956,16 +1002,14 @@ fn check_refused<R: Real>(world: &World<R>, command: &Command<R>, error: Error) 
 
 #[track_caller]
 fn check_refusals<R: Real>(integrator: Integrator) {
-    let limits = Limits { particles: 5, steps: 1000, particle_steps: 2000 };
+    let limits = Limits { particles: 5, steps: 1000, particle_steps: 2000, ..Limits::default() };
     let settings = Settings { integrator, ..Settings::default() };
     let mut world = World::<R>::with_limits(settings, limits).expect("valid settings");
     let random = &mut Random(5);
     world.apply(&Command::Create((0..4).map(|_| random.particle()).collect())).expect("valid particles");
     world.remove(ParticleId(0)).expect("it exists");
     let unit_mass = Some(Column::Uniform(Mass::Inverse(R::ONE)));
-    world
-        .apply(&Command::Set { ids: EVERY, acceleration: None, damping: None, mass: unit_mass })
-        .expect("valid masses");
+    world.apply(&set(EVERY, None, None, unit_mass)).expect("valid masses");
     world.add_force(ParticleId(2), random.vector(9.0).into()).expect("a finite force");
     world.advance(1.25).expect("small numbers");
     world.add_force(ParticleId(2), random.vector(9.0).into()).expect("a finite force");
@@ -976,18 +1020,18 @@ fn check_refusals<R: Real>(integrator: Integrator) {
     let ids = |ids: &[u64]| Selection::Ids(ids.iter().copied().map(ParticleId).collect());
     let second = |bad| Column::PerParticle(vec![good, bad, good]);
     let moved = |position, velocity| Command::Place { ids: EVERY, position, velocity };
-    let set = |acceleration, damping, mass| Command::Set { ids: EVERY, acceleration, damping, mass };
+    let set = |acceleration, damping, mass| set(EVERY, acceleration, damping, mass);
     let damping = |d| set(None, Some(Column::PerParticle(vec![R::HALF, R::HALF, number(d)])), None);
     let mass = |m| set(Some(Column::Uniform(None)), None, Some(Column::Uniform(Mass::Mass(number(m)))));
     let inverse_mass = |w| set(None, None, Some(Column::Uniform(Mass::Inverse(number(w)))));
     let force = |ids, force| Command::AddForce { ids, force };
     let impulse = |ids, impulse| Command::Impulse { ids, impulse };
     let remove = |list| Command::Remove { ids: ids(list) };
-    let advance = |duration, steps, max_step| Command::Advance(Advance { duration, steps, max_step });
+    let advance = |duration, steps, max_step| Command::Advance(Advance { steps, max_step, ..Advance::by(duration) });
     let gravity = |gravity, max_step| Command::Configure(Configure { gravity, max_step, ..Default::default() });
     let new = |count| Command::Create(NewParticles { count, ..Default::default() });
     let laws = (Some(Integrator::Exact), Some(DampingLaw::PerStep));
-    let per_step = Configure { integrator: laws.0, damping_law: laws.1, gravity: Some(far), max_step: None };
+    let per_step = Configure { integrator: laws.0, damping_law: laws.1, gravity: Some(far), ..Configure::default() };
     // The first push is fine, and must be taken back with the second.
     let (twice, pushes) = (ids(&[2, 2, 3]), Column::PerParticle(vec![far, far, good]));
 
@@ -1061,7 +1105,7 @@ fn the_square_of_a_step_is_finite_or_refused() {
 
 #[test]
 fn refusals_change_nothing() {
-    for integrator in Integrator::ALL {
+    for integrator in alone() {
         check_refusals::<f32>(integrator);
         check_refusals::<f64>(integrator);
     }
@@ -1086,7 +1130,7 @@ fn check_cancelled<R: Real>(integrator: Integrator, count: usize, steps: u64) {
     world.apply(&Command::Create(NewParticles { count, ..Default::default() })).expect("valid particles");
     world.apply(&Command::AddForce { ids: EVERY, force: Column::Uniform([R::ONE; 3].into()) }).expect("finite");
     let before = world.clone();
-    let command = Command::Advance(Advance { steps: Some(steps), ..Advance::by(0.5) });
+    let command = Command::Advance(in_steps(integrator, steps, 0.5));
     assert_eq!(world.apply_unless(&command, &AtomicBool::new(true)), Err(Error::Cancelled), "{at}");
     check_unchanged(&at, &before, &world);
 }
@@ -1132,7 +1176,8 @@ fn damped_velocities_come_to_rest() {
         (0.5, [1.0, -1.0, 1e-3], 1, [0.0, -0.0, 0.0]),
         (1.0, [1.0, -1e-3, below], 70, [1.0, -1e-3, below]),
     ];
-    for integrator in Integrator::ALL {
+    // Those of Runge and Kutta do not halve exactly.
+    for integrator in Integrator::ALL.into_iter().filter(|integrator| integrator.serves_zero_damping()) {
         for (damping, units, steps, expected) in rows {
             check_rest::<f32>(integrator, damping, units, steps, expected);
             check_rest::<f64>(integrator, damping, units, steps, expected);
@@ -1154,6 +1199,7 @@ fn check_negative_zeros<R: Real>(integrator: Integrator) {
         acceleration: Some(vector),
         damping: minus,
         mass: Mass::Inverse(minus),
+        ..Particle::default()
     };
     let particles = [own, Particle { acceleration: None, ..own }, Particle::default()];
     world.apply(&Command::Create(particles.into_iter().collect())).expect("valid particles");
@@ -1181,7 +1227,7 @@ fn check_negative_zeros<R: Real>(integrator: Integrator) {
 
 #[test]
 fn negative_zeros() {
-    for integrator in Integrator::ALL {
+    for integrator in Integrator::ALL.into_iter().filter(|integrator| integrator.serves_zero_damping()) {
         check_negative_zeros::<f32>(integrator);
         check_negative_zeros::<f64>(integrator);
     }
@@ -1194,6 +1240,7 @@ fn check_order_and_shape<R: Real>(integrator: Integrator, seed: u64) {
     let random = &mut Random(seed);
     let count = 20;
     let shared = random.particle::<R>();
+    let shared = Particle { damping: served_damping(integrator, shared.damping), ..shared };
     let particles: Vec<Particle<R>> = (0..count)
         .map(|_| Particle { position: random.vector(9.0).into(), velocity: random.vector(9.0).into(), ..shared })
         .collect();
@@ -1204,7 +1251,7 @@ fn check_order_and_shape<R: Real>(integrator: Integrator, seed: u64) {
     let advance = |world: &mut World<R>| {
         for steps in [3, 66] {
             world.apply(&Command::AddForce { ids: EVERY, force: Column::Uniform(force) }).expect("finite");
-            world.advance(Advance { steps: Some(steps), ..Advance::by(0.9) }).expect("small numbers");
+            world.advance(in_steps(integrator, steps, 0.9)).expect("small numbers");
         }
     };
     let at = |what: &str| scene::<R>(&format!("{what}, seed {seed}"), integrator);
@@ -1227,8 +1274,9 @@ fn check_order_and_shape<R: Real>(integrator: Integrator, seed: u64) {
         one_by_one.create(particle).expect("a valid particle");
     }
     let mut promoted = world(integrator, &particles);
-    let set = |d, w| Command::Set { ids: EVERY, acceleration: None, damping: Some(d), mass: Some(w) };
-    let other = Column::PerParticle((0..count).map(|i| if i == 3 { R::ZERO } else { shared.damping }).collect());
+    let set = |d, w| set(EVERY, None, Some(d), Some(w));
+    let other =
+        Column::PerParticle((0..count).map(|i| if i == 3 { R::HALF * R::HALF } else { shared.damping }).collect());
     promoted.apply(&set(other, Column::Uniform(Mass::Mass(R::HALF)))).expect("valid values");
     promoted
         .apply(&set(Column::Uniform(shared.damping), Column::PerParticle(vec![shared.mass; count])))
@@ -1240,6 +1288,9 @@ fn check_order_and_shape<R: Real>(integrator: Integrator, seed: u64) {
     check_same(&at("uniform columns"), &per_particle, &uniform);
     check_same(&at("one by one"), &per_particle, &one_by_one);
     check_same(&at("set anew"), &per_particle, &promoted);
+    if integrator == Integrator::Dop853 {
+        return; // Its steps are common to all, so that one that is gone is missed.
+    }
 
     let gone: Vec<ParticleId> = (0..count as u64).step_by(3).map(ParticleId).collect();
     let mut world = per_particle.clone();
@@ -1283,10 +1334,13 @@ fn check_ends_finite<R: Real>(integrator: Integrator, seeds: &[u64]) {
             acceleration: (n > 0).then(|| [next(), next(), next()].into()),
             damping: if n == 2 { R::HALF } else { R::ONE },
             mass: Mass::Inverse(Real::abs(next())),
+            ..Particle::default()
         })
         .collect();
     let gravity: R::Vec3 = [next(), next(), next()].into();
-    let Ok(mut world) = World::<R>::new(Settings { integrator, gravity, ..Settings::default() }) else { return };
+    let settings = Settings { integrator, gravity, ..Settings::default() };
+    let limits = Limits { steps: 1000, ..Limits::default() };
+    let mut world = World::<R>::with_limits(settings, limits).expect("every setting is finite");
     for particle in particles {
         world.create(particle).expect("finite numbers");
     }
@@ -1295,7 +1349,7 @@ fn check_ends_finite<R: Real>(integrator: Integrator, seeds: &[u64]) {
         let _refused = world.add_force(ParticleId(seed % 3), [extreme(seed >> 7), R::ZERO, R::ONE].into());
         let before = if world.revision() == before.revision() { before } else { world.clone() };
         let duration = f64::from_bits(0x3e00_0000_0000_0000 + (seed >> 6 & 0x02ff_ffff_ffff_ffff));
-        let advance = Advance { steps: Some(1 + seed % 5), ..Advance::by(duration) };
+        let advance = in_steps(integrator, 1 + seed % 5, duration);
         let scene = scene::<R>(&format!("extremes {seed}, {duration:e} s"), integrator);
         match world.advance(advance) {
             Ok(_) => {
@@ -1346,7 +1400,7 @@ fn check_long<R: Real>(integrator: Integrator) {
 /// A long advance is cut into slices and works on a copy; a short one does neither. Both give the same bits.
 #[test]
 fn a_long_advance_gives_the_bits_of_short_ones() {
-    for integrator in Integrator::ALL {
+    for integrator in alone() {
         check_long::<f32>(integrator);
         check_long::<f64>(integrator);
     }

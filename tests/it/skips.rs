@@ -5,7 +5,7 @@ use pointmass::{
     Precision, Real, Selection, Settings, Values, World,
 };
 
-use crate::physics::Random;
+use crate::physics::{Random, in_steps, set};
 
 const COUNT: usize = 1000;
 const EVERY: Selection = Selection::All;
@@ -49,10 +49,10 @@ fn world<R: Real>(integrator: Integrator, new: NewParticles<R>) -> World<R> {
 
 /// Advances, makes what was deferred happen, and says what was done and what came of it.
 fn advance<R: Real>(world: &mut World<R>) -> (Advanced, Digest) {
-    let report = world.advance(Advance { steps: Some(70), ..Advance::by(1.5) }).expect("finite");
+    let report = world.advance(in_steps(world.settings().integrator, 70, 1.5)).expect("finite");
     let mut now = world.clone();
     let mass = Some(Column::Uniform(Mass::Inverse(R::ONE)));
-    now.apply(&Command::Set { ids: EVERY, acceleration: None, damping: None, mass }).expect("valid");
+    now.apply(&set(EVERY, None, None, mass)).expect("valid");
     (report, now.digest())
 }
 
@@ -61,7 +61,7 @@ fn stepped() -> impl Iterator<Item = Integrator> {
 }
 
 fn set_damping<R: Real>(damping: Column<R>) -> Command<R> {
-    Command::Set { ids: EVERY, acceleration: None, damping: Some(damping), mass: None }
+    set(EVERY, None, Some(damping), None)
 }
 
 fn check_uniform<R: Real>(integrator: Integrator) {
@@ -145,8 +145,8 @@ fn check_resting<R: Real>(integrator: Integrator) {
     mixed.apply(&Command::Create(NewParticles { count: 10, ..resting.into() })).expect("valid");
     let mut alone = world(integrator, uniform::<R>(0.75));
     for _ in 0..3 {
-        let report = mixed.advance(Advance { steps: Some(70), ..Advance::by(1.5) }).expect("finite");
-        alone.advance(Advance { steps: Some(70), ..Advance::by(1.5) }).expect("finite");
+        let report = mixed.advance(in_steps(integrator, 70, 1.5)).expect("finite");
+        alone.advance(in_steps(integrator, 70, 1.5)).expect("finite");
         assert_eq!(report.skipped, 10, "{integrator}");
     }
     let bits = |state: &ParticleState<R>| {
@@ -218,7 +218,9 @@ fn check_bounds<R: Real>(integrator: Integrator) {
 
 #[test]
 fn no_look_where_bounds_tell() {
-    for integrator in Integrator::ALL {
+    // The others look at all: what they do on the way has no bounds in closed form.
+    let told = |integrator: &Integrator| integrator.is_euler() || *integrator == Integrator::Exact;
+    for integrator in Integrator::ALL.into_iter().filter(told) {
         check_bounds::<f32>(integrator);
         check_bounds::<f64>(integrator);
     }

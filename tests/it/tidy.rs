@@ -46,9 +46,11 @@ fn imports_point_down() {
     // From the top to the bottom; modules inside one row do not import each other, except in the last.
     let layers: &[&[&str]] = &[
         &["world"],
+        &["system"],
         &["closed_form", "kernel", "particles", "command"],
         &[
             "error",
+            "accumulators",
             "base_times",
             "column",
             "forces",

@@ -126,7 +126,7 @@ fn cost<R: WireReal>(world: &World<R>, body: &AdvanceBody) -> Cost {
 
 impl AdvanceBody {
     fn advance(&self) -> Advance {
-        Advance { duration: self.duration, steps: self.steps, max_step: self.max_step }
+        Advance { steps: self.steps, max_step: self.max_step, ..Advance::by(self.duration) }
     }
 }
 

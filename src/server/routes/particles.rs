@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use crate::column::Column;
-use crate::command::{Command, NewParticles, Outcome};
+use crate::command::{Command, NewParticles, Outcome, Properties};
 use crate::ids::ParticleId;
 use crate::server::App;
 use crate::server::extract::{Change, NoParameters, Read, page_limit};
@@ -317,7 +317,8 @@ async fn set_mass(State(app): State<Arc<App>>, change: Change) -> Result<Respons
         let Object(MassBody { mass, inverse_mass }) = json::parse(body)?;
         let mass = wire::mass(mass, inverse_mass, "")?
             .ok_or_else(|| Problem::new(Code::MissingField, "give mass or inverse_mass"))?;
-        Ok(Command::Set { ids: id.into(), acceleration: None, damping: None, mass: Some(Column::Uniform(mass)) })
+        let properties = Properties { mass: Some(Column::Uniform(mass)), ..Properties::default() };
+        Ok(Command::Set { ids: id.into(), properties })
     }
     let any = app.slot(&change.target)?;
     with_slot!(any, slot => change.apply_to_one(&slot, read).await)

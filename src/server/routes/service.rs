@@ -55,6 +55,8 @@ struct ServiceLimits {
     memory_bytes_max: u64,
     steps_max: u64,
     particle_steps_max: u64,
+    /// Pairs of particles x evaluations of one advance, under gravitation.
+    interactions_max: u64,
     body_bytes_max: usize,
     page_max: usize,
     connections_max: usize,
@@ -92,6 +94,7 @@ async fn describe_service(State(app): State<Arc<App>>, read: Read) -> Result<Res
             memory_bytes_max: config.memory_bytes_max,
             steps_max: config.steps_max,
             particle_steps_max: config.particle_steps_max,
+            interactions_max: config.interactions_max,
             body_bytes_max: config.body_bytes_max,
             page_max: PAGE_MAX,
             connections_max: config.connections_max,

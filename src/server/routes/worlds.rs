@@ -206,6 +206,7 @@ fn insert<R: WireReal>(
         gravity: body.gravity.map(read_gravity::<R>).transpose()?.unwrap_or(default.gravity),
         damping_law: body.damping_law.map_or(default.damping_law, |Named(law)| law),
         max_step: body.max_step,
+        ..default
     };
     let mut world = World::with_limits(settings, app.config.limits())
         .map_err(|error| Problem::from_engine(error, Shape::Columns))?;
@@ -287,6 +288,7 @@ async fn configure_world(State(app): State<Arc<App>>, change: Change) -> Result<
             gravity: body.gravity.map(read_gravity::<R>).transpose()?,
             damping_law: body.damping_law.map(|Named(law)| law),
             max_step: body.max_step,
+            ..Configure::default()
         })
     }
     let any = app.slot(&change.target)?;
