@@ -18,13 +18,13 @@ are doubles in both.
     at TIME
     end px py pz vx vy vz
 
-Lines that would say 0 (damping: 1) are left out. A particle that pulls nothing has the masses 1 and 0, any other has the
-same twice. After each `at` there is one `end` for each particle, in order; the
-last `at` is the duration. `#` starts a comment.
+Lines that would say 0 (damping: 1) are left out. A particle that pulls nothing has the masses 1 and 0, any other has
+the same mass twice. After each `at` there is one `end` for each particle, in order; the last `at` is the duration. `#`
+starts a comment.
 
-Each scene is solved twice: in closed form and by Taylor series, or else by Taylor series of two orders and step
-lengths. Before each `at` is a comment of how many digits the two agree to, and of the first is what is written. The
-digits are those of the length of a particle's position or velocity, whichever of all has fewest.
+Each scene is solved twice: in closed form and by Taylor series, or by Taylor series of two orders with two lengths of
+step. A comment before each `at` says to how many digits both agree, and the first of both is written. The digits are
+relative to the length of each position and velocity; the comment has the fewest.
 """
 
 import os
