@@ -10,6 +10,7 @@ use serde_path_to_error::{Path, Segment};
 use utoipa::openapi::schema::{ObjectBuilder, Schema, Type};
 
 use crate::column::Column;
+use crate::forces::Drag;
 use crate::real::Real;
 use crate::server::problem::{Code, Problem};
 
@@ -80,8 +81,14 @@ fn pointer(path: &Path) -> String {
 }
 
 /// A body or an element that must be a JSON object: serde would take a list of the fields as well.
-#[derive(Debug)]
+#[derive(Debug, Clone, Copy)]
 pub(crate) struct Object<T>(pub(crate) T);
+
+impl<T: Serialize> Serialize for Object<T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.0.serialize(serializer)
+    }
+}
 
 impl<'de, T: Deserialize<'de>> Deserialize<'de> for Object<T> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
@@ -104,30 +111,39 @@ pub(crate) fn present<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializ
     T::deserialize(deserializer).map(Some)
 }
 
-/// A vector: a list of exactly three numbers.
+/// A list of exactly N numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Vector<R>(pub(crate) [R; 3]);
+pub(crate) struct Numbers<R, const N: usize>(pub(crate) [R; N]);
 
-impl<'de, R: WireReal> Deserialize<'de> for Vector<R> {
+/// A vector: three of them.
+pub(crate) type Vector<R> = Numbers<R, 3>;
+
+/// The coefficients of drag: two.
+pub(crate) type DragPair<R> = Numbers<R, 2>;
+
+impl<'de, R: WireReal, const N: usize> Deserialize<'de> for Numbers<R, N> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Three<R>(PhantomData<R>);
-        impl<'de, R: WireReal> Visitor<'de> for Three<R> {
-            type Value = Vector<R>;
+        struct List<R, const N: usize>(PhantomData<R>);
+        impl<'de, R: WireReal, const N: usize> Visitor<'de> for List<R, N> {
+            type Value = Numbers<R, N>;
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a vector of three numbers")
+                match N {
+                    3 => f.write_str("a vector of three numbers"),
+                    _ => write!(f, "a list of {N} numbers"),
+                }
             }
             fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Self::Value, A::Error> {
-                let mut vector = [R::ZERO; 3];
-                for (k, component) in vector.iter_mut().enumerate() {
-                    *component = list.next_element()?.ok_or_else(|| A::Error::invalid_length(k, &self))?;
+                let mut numbers = [R::ZERO; N];
+                for (k, number) in numbers.iter_mut().enumerate() {
+                    *number = list.next_element()?.ok_or_else(|| A::Error::invalid_length(k, &self))?;
                 }
                 if list.next_element::<IgnoredAny>()?.is_some() {
-                    return Err(A::Error::invalid_length(4, &self));
+                    return Err(A::Error::invalid_length(N + 1, &self));
                 }
-                Ok(Vector(vector))
+                Ok(Numbers(numbers))
             }
         }
-        deserializer.deserialize_seq(Three(PhantomData))
+        deserializer.deserialize_seq(List(PhantomData))
     }
 }
 
@@ -164,10 +180,19 @@ impl<R: WireReal> Element for Vector<R> {
     }
 }
 
-impl<R: WireReal> Element for Option<Vector<R>> {
-    type Value = Option<R::Vec3>;
+impl<R: WireReal> Element for DragPair<R> {
+    type Value = Drag<R>;
     const IS_LIST: bool = true;
-    fn value(self) -> Option<R::Vec3> {
+    fn value(self) -> Drag<R> {
+        let Numbers([k1, k2]) = self;
+        Drag { k1, k2 }
+    }
+}
+
+impl<E: Element> Element for Option<E> {
+    type Value = Option<E::Value>;
+    const IS_LIST: bool = E::IS_LIST;
+    fn value(self) -> Option<E::Value> {
         self.map(Element::value)
     }
 }
@@ -239,8 +264,9 @@ pub(crate) fn write<T: Serialize>(value: &T) -> Vec<u8> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Code, Object, Vector, column, parse};
+    use super::{Code, DragPair, Object, Vector, column, parse};
     use crate::column::Column;
+    use crate::forces::Drag;
     use proptest::prelude::*;
     use serde::Deserialize;
 
@@ -287,6 +313,27 @@ mod tests {
         {
             assert_eq!(vector(text).expect_err(text).pointer.as_deref(), Some(pointer), "{text}");
         }
+    }
+
+    #[test]
+    fn a_pair_is_one_value_and_not_a_list_of_two() {
+        let drags = |text| column::<Option<DragPair<f64>>>(text, "drag");
+        let drag = |k1, k2| Some(Drag { k1, k2 });
+        assert_eq!(drags("[0.1, 0.2]").expect("one"), Column::Uniform(drag(0.1, 0.2)));
+        assert_eq!(drags("null").expect("none"), Column::Uniform(None));
+        assert_eq!(drags("[]").expect("a list"), Column::PerParticle(vec![]));
+        let pairs = drags(" [ [1,2], null ]").expect("a list");
+        assert_eq!(pairs, Column::PerParticle(vec![drag(1.0, 2.0), None]));
+        assert_eq!(drags("[null,[1,2]]").expect("a list"), Column::PerParticle(vec![None, drag(1.0, 2.0)]));
+        for (text, pointer) in
+            [("[1]", "/drag"), ("[1,2,3]", "/drag"), ("[1,[2,3]]", "/drag/1"), ("[[1,2],3]", "/drag/1")]
+        {
+            assert_eq!(drags(text).expect_err(text).pointer.as_deref(), Some(pointer), "{text}");
+        }
+        let masses = |text| column::<Option<f64>>(text, "gravitational_mass");
+        assert_eq!(masses("5").expect("one"), Column::Uniform(Some(5.0)));
+        assert_eq!(masses("null").expect("none"), Column::Uniform(None));
+        assert_eq!(masses("[null, 5]").expect("a list"), Column::PerParticle(vec![None, Some(5.0)]));
     }
 
     proptest! {

@@ -15,6 +15,7 @@ mod metrics;
 mod openapi;
 mod problem;
 mod routes;
+mod settings;
 mod slot;
 mod wire;
 

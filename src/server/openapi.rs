@@ -182,38 +182,34 @@ pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
         codes.extend([Code::InvalidField, Code::UnknownField, Code::DuplicateField, Code::NotFinite]);
     }
     let masses = [Code::MassNotPositive, Code::InverseMassNegative, Code::MassAndInverseMass];
+    let serving = [Code::IntegratorCannotServeDamping, Code::IntegratorCannotServeForces];
+    // Of a particle: a coefficient or a mass below 0, and a damping of 0 under an integrator that cannot compute with it.
+    let properties = [Code::DampingOutOfRange, Code::NegativeValue, Code::IntegratorCannotServeDamping];
     match operation {
-        "create_world" => codes.extend([
-            Code::WorldExists,
-            Code::InvalidWorldName,
-            Code::LimitReached,
-            Code::MaxStepNotPositive,
-            Code::IntegratorCannotServeDamping,
-        ]),
-        "create_named_by_service" => codes.extend([
-            Code::WorldExists,
-            Code::LimitReached,
-            Code::MaxStepNotPositive,
-            Code::IntegratorCannotServeDamping,
-        ]),
-        "configure_world" => codes.extend([Code::MaxStepNotPositive, Code::IntegratorCannotServeDamping]),
+        "create_world" | "create_named_by_service" => {
+            codes.extend(serving);
+            codes.extend([Code::WorldExists, Code::LimitReached, Code::MaxStepNotPositive, Code::NegativeValue]);
+            codes.extend((operation == "create_world").then_some(Code::InvalidWorldName));
+        }
+        "configure_world" => {
+            codes.extend(serving);
+            codes.extend([Code::MaxStepNotPositive, Code::NegativeValue]);
+        }
         "create_particles" => {
             codes.extend(masses);
-            codes.extend([Code::DampingOutOfRange, Code::LengthMismatch, Code::LimitReached]);
+            codes.extend(properties);
+            codes.extend([Code::LengthMismatch, Code::LimitReached]);
         }
         "list_particles" => codes.push(Code::UnknownParticle),
         "set_particles" => {
             codes.extend(masses);
-            codes.extend([
-                Code::DampingOutOfRange,
-                Code::LengthMismatch,
-                Code::IntegratorOwnsField,
-                Code::UnknownParticle,
-            ]);
+            codes.extend(properties);
+            codes.extend([Code::LengthMismatch, Code::IntegratorOwnsField, Code::UnknownParticle]);
         }
         "set_particle" => {
             codes.extend(masses);
-            codes.extend([Code::DampingOutOfRange, Code::IntegratorOwnsField]);
+            codes.extend(properties);
+            codes.push(Code::IntegratorOwnsField);
         }
         "set_mass" => {
             codes.extend(masses);
@@ -221,8 +217,18 @@ pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
         }
         "place_particle" | "add_force" | "apply_impulse" => codes.push(Code::MissingField),
         "add_forces" => codes.extend([Code::MissingField, Code::LengthMismatch, Code::UnknownParticle]),
+        "read_trajectory" => codes.extend([
+            Code::NotFinite,
+            Code::DurationNotPositive,
+            Code::ClockOutOfRange,
+            Code::ComputeBudget,
+            Code::LimitReached,
+            Code::Diverged,
+        ]),
         "advance" => codes.extend([
             Code::MissingField,
+            Code::UnknownParticle,
+            Code::IntegratorTakesNoSteps,
             Code::DurationNotPositive,
             Code::StepsNotPositive,
             Code::MaxStepNotPositive,

@@ -7,7 +7,7 @@ use utoipa::openapi::RefOr;
 use utoipa::openapi::schema::{ObjectBuilder, Schema, Type};
 use utoipa::{PartialSchema, ToSchema};
 
-use crate::error::{Error, Limit, Place};
+use crate::error::{Error, Field, Limit, Place};
 use crate::server::config;
 
 /// The stable word of a problem. Each has a page under `/problems/`.
@@ -303,6 +303,11 @@ impl Problem {
         Self { pointer: Some(pointer.into()), ..Self::new(code, detail) }
     }
 
+    /// The same of query parameters, into which no pointer leads.
+    pub(crate) fn without_pointer(self) -> Self {
+        Self { pointer: None, ..self }
+    }
+
     /// The problem that its explanation already says in full.
     pub(crate) fn plain(code: Code) -> Self {
         Self::new(code, code.explanation())
@@ -339,10 +344,11 @@ impl Problem {
             Error::TooManySteps { .. } => Self::new(Code::ComputeBudget, detail),
             Error::Negative(place) => at(Code::NegativeValue, place),
             Error::ToleranceZero => whole(Code::InvalidField, "tolerance"),
-            Error::PlaneWithoutNormal => whole(Code::InvalidField, "until/plane/normal"),
+            Error::PlaneWithoutNormal => at(Code::InvalidField, Field::Normal.whole()),
             Error::TooFewSamples => Self::new(Code::InvalidParameter, detail),
             Error::UnknownParticle { index, .. } => match shape {
                 Shape::Particle => Self::new(Code::UnknownParticle, detail),
+                Shape::World => whole(Code::UnknownParticle, "until/particle"),
                 Shape::Columns | Shape::List => Self::at(Code::UnknownParticle, format!("/ids/{index}"), detail),
             },
             Error::RemovedTwice { index, .. } => whole(Code::RemovedTwice, &format!("ids/{index}")),
@@ -373,14 +379,34 @@ pub(crate) enum Shape {
     Columns,
     /// A list of particles: `/3/mass`.
     List,
+    /// The world: its settings, or an advance of it.
+    World,
 }
 
 impl Shape {
     fn pointer(self, place: Place) -> String {
+        let field = self.field(place.field);
         match (self, place.index) {
-            (Self::List, Some(index)) => format!("/{index}/{}", place.field),
-            (Self::Columns, Some(index)) => format!("/{}/{index}", place.field),
-            (Self::Particle, _) | (_, None) => format!("/{}", place.field),
+            (Self::List, Some(index)) => format!("/{index}/{field}"),
+            (Self::Columns, Some(index)) => format!("/{field}/{index}"),
+            (Self::Particle | Self::World, _) | (_, None) => format!("/{field}"),
+        }
+    }
+
+    /// The way to a field.
+    fn field(self, field: Field) -> &'static str {
+        match (field, self) {
+            (Field::K1, Self::World) => "forces/drag/k1",
+            (Field::K2, Self::World) => "forces/drag/k2",
+            // The drag of a particle is a list of both.
+            (Field::K1 | Field::K2, _) => Field::Drag.name(),
+            (Field::Constant, _) => "forces/gravitation/constant",
+            (Field::Softening, _) => "forces/gravitation/softening",
+            (Field::Absolute, _) => "tolerance/absolute",
+            (Field::Relative, _) => "tolerance/relative",
+            (Field::Normal, _) => "until/plane/normal",
+            (Field::Offset, _) => "until/plane/offset",
+            (field, _) => field.name(),
         }
     }
 }

@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use axum::body::Body;
 use axum::http::{StatusCode, header};
 use axum::response::Response;
-use tokio::sync::{OwnedMutexGuard, Semaphore};
+use tokio::sync::{OwnedMutexGuard, OwnedSemaphorePermit, Semaphore};
 
 use crate::real::Real;
 use crate::server::extract::{Preconditions, Target, etag};
@@ -68,6 +68,15 @@ pub(crate) struct Held<R: Real> {
     charge: Charge,
 }
 
+/// The right to work on a world.
+#[derive(Debug)]
+struct Turn<R: Real> {
+    held: OwnedMutexGuard<Held<R>>,
+    /// Among those for long work, when this is.
+    place: Option<OwnedSemaphorePermit>,
+    work: u64,
+}
+
 /// What all worlds of a service share.
 #[derive(Debug, Clone)]
 pub(crate) struct Shared {
@@ -78,12 +87,12 @@ pub(crate) struct Shared {
     pub(crate) long_places: Arc<Semaphore>,
 }
 
-/// What a change costs.
+/// What a request costs.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Cost {
     /// Particle-steps, or numbers to read or write.
     pub(crate) work: u64,
-    /// Bytes that it takes from the budget.
+    /// Bytes that it takes from the budget, until it is done or for what it creates.
     pub(crate) bytes: u64,
 }
 
@@ -161,45 +170,27 @@ impl<R: WireReal> Slot<R> {
         cost: impl Fn(&World<R>, &T) -> Cost,
         apply: impl FnOnce(&mut World<R>, T, &AtomicBool) -> Result<Reply, Problem> + Send + 'static,
     ) -> Result<Response, Problem> {
-        let mut place = None;
-        let mut turn = loop {
-            let mut held = self.lock(target).await?;
-            let world = held.world(target)?;
+        let check = |world: &World<R>| {
             if let Err(problem) = &parsed
                 && problem.code == Code::MalformedJson
             {
                 return Err(problem.clone());
             }
             preconditions.check(world.revision())?;
-            let cost = match &parsed {
-                Ok(parsed) => cost(world, parsed),
-                Err(problem) => return Err(problem.clone()),
-            };
-            if cost.work > LONG_WORK && place.is_none() {
-                place = Arc::clone(&self.shared.long_places).try_acquire_owned().ok();
-                if place.is_none() {
-                    // Others may use the world meanwhile.
-                    drop(held);
-                    let free = Arc::clone(&self.shared.long_places).acquire_owned().await;
-                    place = Some(free.expect("the semaphore is never closed"));
-                    continue;
-                }
-            }
-            held.charge.grow(cost.bytes)?;
-            break (held, cost.work);
+            parsed.as_ref().map(|parsed| cost(world, parsed)).map_err(Clone::clone)
         };
-        let (parsed, work) = (parsed?, turn.1);
+        let mut turn = self.turn(target, check).await?;
+        let parsed = parsed?;
         let slot = Arc::clone(self);
-        run(work, move |cancelled| {
-            let held = &mut *turn.0;
+        run(turn.work, move |cancelled| {
+            let held = &mut *turn.held;
             held.interrupted = true;
             let world = held.world.as_mut().expect("it was there above, under the same lock");
             let reply = apply(world, parsed, cancelled);
             let revision = world.revision();
-            held.charge.shrink_to(world.particle_count() as u64 * PARTICLE_BYTES);
             slot.description.lock().unwrap_or_else(PoisonError::into_inner).update(world);
             held.interrupted = false;
-            drop(place);
+            turn.end();
             Ok(reply?.into_response(Some(revision)))
         })
         .await
@@ -211,27 +202,54 @@ impl<R: WireReal> Slot<R> {
         target: &Target,
         preconditions: &Preconditions,
         query: Result<Q, Problem>,
-        work: impl FnOnce(&World<R>, &Q) -> u64,
-        answer: impl FnOnce(&World<R>, Q) -> Result<Vec<u8>, Problem> + Send + 'static,
+        cost: impl Fn(&World<R>, &Q) -> Cost,
+        answer: impl FnOnce(&World<R>, Q, &AtomicBool) -> Result<Vec<u8>, Problem> + Send + 'static,
     ) -> Result<Response, Problem> {
-        let mut held = self.lock(target).await?;
-        let world = held.world(target)?;
+        let check = |world: &World<R>| {
+            let query = query.as_ref().map_err(Clone::clone)?;
+            Ok(if preconditions.has(world.revision()) { Cost::default() } else { cost(world, query) })
+        };
+        let mut turn = self.turn(target, check).await?;
         let query = query?;
-        let revision = world.revision();
+        let revision = turn.held.world(target)?.revision();
         if preconditions.has(revision) {
             let reply = Reply { status: StatusCode::NOT_MODIFIED, location: None, body: Vec::new() };
             let mut response = reply.into_response(Some(revision));
             response.headers_mut().remove(header::CONTENT_TYPE);
             return Ok(response);
         }
-        let work = work(world, &query);
-        run(work, move |_| {
-            let world = held.world.as_ref().expect("it was there above, under the same lock");
-            let body = answer(world, query)?;
-            drop(held);
-            Ok(Reply::ok(body).into_response(Some(revision)))
+        run(turn.work, move |cancelled| {
+            let world = turn.held.world.as_ref().expect("it was there above, under the same lock");
+            let body = answer(world, query, cancelled);
+            turn.end();
+            Ok(Reply::ok(body?).into_response(Some(revision)))
         })
         .await
+    }
+
+    /// Waits for the world, and for a place when the work is long; `check` refuses, or tells the cost, which is charged.
+    async fn turn(
+        &self,
+        target: &Target,
+        check: impl Fn(&World<R>) -> Result<Cost, Problem>,
+    ) -> Result<Turn<R>, Problem> {
+        let mut place = None;
+        loop {
+            let mut held = self.lock(target).await?;
+            let Cost { work, bytes } = check(held.world(target)?)?;
+            if work > LONG_WORK && place.is_none() {
+                place = Arc::clone(&self.shared.long_places).try_acquire_owned().ok();
+                if place.is_none() {
+                    // Others may use the world meanwhile.
+                    drop(held);
+                    let free = Arc::clone(&self.shared.long_places).acquire_owned().await;
+                    place = Some(free.expect("the semaphore is never closed"));
+                    continue;
+                }
+            }
+            held.charge.grow(bytes)?;
+            return Ok(Turn { held, place, work });
+        }
     }
 
     /// Takes the world out, in its turn; `forget` runs while nobody else can see it.
@@ -260,6 +278,16 @@ impl<R: WireReal> Slot<R> {
             return Err(Problem::new(Code::WorldQuarantined, detail));
         }
         Ok(held)
+    }
+}
+
+impl<R: WireReal> Turn<R> {
+    /// Gives back the world, the place, and the bytes that the particles do not take.
+    fn end(self) {
+        let Self { mut held, place, .. } = self;
+        let particles = held.world.as_ref().map_or(0, World::particle_count) as u64;
+        held.charge.shrink_to(particles * PARTICLE_BYTES);
+        drop((held, place));
     }
 }
 

@@ -7,11 +7,13 @@ use utoipa::ToSchema;
 
 use crate::column::Column;
 use crate::command::{Command, Mass, NewParticles, Particle, Properties, Selection};
+use crate::forces::Drag;
 use crate::ids::ParticleId;
 use crate::integrator::{DampingLaw, Integrator};
 use crate::real::Precision;
-use crate::server::json::{Choice, Element, Named, Object, Vector, WireReal, choices, column, present};
+use crate::server::json::{Choice, DragPair, Element, Named, Object, Vector, WireReal, choices, column, present};
 use crate::server::problem::{Code, Problem};
+use crate::server::settings::{ForcesBody, ToleranceBody};
 use crate::world::{ParticleState, World};
 
 impl Choice for Precision {
@@ -41,6 +43,12 @@ impl Choice for DampingLaw {
 #[expect(dead_code, reason = "stands for Vector in the description")]
 pub(crate) struct VectorSchema([f64; 3]);
 
+/// The coefficients k1 (kg/s) and k2 (kg/m) of drag, both at least 0.
+#[derive(ToSchema)]
+#[schema(as = DragPair, value_type = [f64; 2], min_items = 2, max_items = 2, example = json!([0.1, 0.02]))]
+#[expect(dead_code, reason = "stands for DragPair in the description")]
+pub(crate) struct DragPairSchema([f64; 2]);
+
 /// One vector for all particles, or a list with one for each.
 #[derive(ToSchema)]
 #[schema(as = VectorColumn)]
@@ -59,6 +67,26 @@ pub(crate) enum VectorColumn {
 pub(crate) enum AccelerationColumn {
     One(Option<VectorSchema>),
     Each(Vec<Option<VectorSchema>>),
+}
+
+/// One drag for all particles, or a list with one for each; null follows the drag of the world.
+#[derive(ToSchema)]
+#[schema(as = DragColumn)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "stands for a column in the description")]
+pub(crate) enum DragColumn {
+    One(Option<DragPairSchema>),
+    Each(Vec<Option<DragPairSchema>>),
+}
+
+/// One number or null for all particles, or a list with one for each.
+#[derive(ToSchema)]
+#[schema(as = OptionalNumberColumn)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "stands for a column in the description")]
+pub(crate) enum OptionalNumberColumn {
+    One(Option<f64>),
+    Each(Vec<Option<f64>>),
 }
 
 /// One number for all particles, or a list with one for each.
@@ -82,7 +110,7 @@ pub(crate) struct Description<R: WireReal> {
     /// `double` or `single`, fixed at creation.
     #[schema(schema_with = choices::<Precision>)]
     precision: Named<Precision>,
-    /// `exact`, `newton_euler`, `newton_euler_quadratic` or `semi_implicit_euler`.
+    /// How particles are moved.
     #[schema(schema_with = choices::<Integrator>)]
     integrator: Named<Integrator>,
     /// In m/s².
@@ -94,6 +122,18 @@ pub(crate) struct Description<R: WireReal> {
     /// The longest step, in seconds, of an advance that names no steps.
     #[schema(required)]
     max_step: Option<f64>,
+    /// Absent where there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<ForcesBody<f64>>, nullable = false)]
+    forces: Option<ForcesBody<R>>,
+    /// Absent where it is the default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    tolerance: Option<ToleranceBody>,
+    /// true where steps keep what rounding takes from position and velocity, otherwise absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    compensated: Option<bool>,
     /// The clock in seconds.
     time: f64,
     /// Steps of all advances so far.
@@ -113,6 +153,9 @@ impl<R: WireReal> Description<R> {
             gravity: settings.gravity.into(),
             damping_law: Named(settings.damping_law),
             max_step: settings.max_step,
+            forces: ForcesBody::of(&settings.forces),
+            tolerance: ToleranceBody::of(settings.tolerance),
+            compensated: settings.compensated.then_some(true),
             time: world.time(),
             step_count: world.step_count(),
             particle_count: world.particle_count(),
@@ -138,6 +181,8 @@ pub(crate) enum Property {
     Mass,
     InverseMass,
     Force,
+    Drag,
+    GravitationalMass,
 }
 
 impl Choice for Property {
@@ -150,6 +195,8 @@ impl Choice for Property {
         Self::Mass,
         Self::InverseMass,
         Self::Force,
+        Self::Drag,
+        Self::GravitationalMass,
     ];
     fn name(self) -> &'static str {
         match self {
@@ -161,6 +208,8 @@ impl Choice for Property {
             Self::Mass => "mass",
             Self::InverseMass => "inverse_mass",
             Self::Force => "force",
+            Self::Drag => "drag",
+            Self::GravitationalMass => "gravitational_mass",
         }
     }
 }
@@ -210,19 +259,28 @@ pub(crate) struct ParticleBody<R: WireReal> {
     #[serde(default, deserialize_with = "present")]
     #[schema(value_type = Option<f64>, nullable = false, minimum = 0)]
     inverse_mass: Option<R>,
+    /// Its own drag, where the world has drag; default null: that of the world.
+    #[serde(default)]
+    #[schema(value_type = Option<DragPairSchema>)]
+    drag: Option<DragPair<R>>,
+    /// The mass in kg, at least 0, with which it attracts others; default null: its mass, and 0 when it is immovable.
+    #[serde(default)]
+    #[schema(value_type = Option<f64>, minimum = 0)]
+    gravitational_mass: Option<R>,
 }
 
 impl<R: WireReal> ParticleBody<R> {
     fn particle(self, prefix: &str) -> Result<Particle<R>, Problem> {
         let default = Particle::<R>::default();
-        let vector = |given: Option<Vector<R>>, default| given.map_or(default, |Vector(v)| v.into());
+        let vector = |given: Option<Vector<R>>, default| given.map_or(default, Element::value);
         Ok(Particle {
             position: vector(self.position, default.position),
             velocity: vector(self.velocity, default.velocity),
-            acceleration: self.acceleration.map(|Vector(a)| a.into()),
+            acceleration: self.acceleration.value(),
             damping: self.damping.unwrap_or(default.damping),
             mass: mass(self.mass, self.inverse_mass, prefix)?.unwrap_or(default.mass),
-            ..default
+            drag: self.drag.value(),
+            gravitational_mass: self.gravitational_mass,
         })
     }
 
@@ -285,6 +343,14 @@ pub(crate) struct ColumnsBody<'a> {
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<NumberColumn>, nullable = false)]
     inverse_mass: Option<&'a RawValue>,
+    /// Own drag; null: that of the world.
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<DragColumn>, nullable = false)]
+    drag: Option<&'a RawValue>,
+    /// In kg; null: its mass, and 0 when it is immovable.
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<OptionalNumberColumn>, nullable = false)]
+    gravitational_mass: Option<&'a RawValue>,
 }
 
 impl ColumnsBody<'_> {
@@ -298,7 +364,9 @@ impl ColumnsBody<'_> {
                 .unwrap_or(default.acceleration),
             damping: optional_column::<R>(self.damping, "damping")?.unwrap_or(default.damping),
             mass: mass_column(self.mass, self.inverse_mass)?.unwrap_or(default.mass),
-            ..default
+            drag: optional_column::<Option<DragPair<R>>>(self.drag, "drag")?.unwrap_or(default.drag),
+            gravitational_mass: optional_column::<Option<R>>(self.gravitational_mass, "gravitational_mass")?
+                .unwrap_or(default.gravitational_mass),
         })
     }
 }
@@ -325,6 +393,14 @@ pub(crate) struct SetManyBody<'a> {
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<NumberColumn>, nullable = false)]
     inverse_mass: Option<&'a RawValue>,
+    /// Own drag; null: that of the world.
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<DragColumn>, nullable = false)]
+    drag: Option<&'a RawValue>,
+    /// In kg; null: its mass, and 0 when it is immovable.
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<OptionalNumberColumn>, nullable = false)]
+    gravitational_mass: Option<&'a RawValue>,
     #[serde(default, deserialize_with = "present")]
     #[schema(ignore)]
     position: Option<IgnoredAny>,
@@ -340,7 +416,8 @@ impl SetManyBody<'_> {
             acceleration: optional_column::<Option<Vector<R>>>(self.acceleration, "acceleration")?,
             damping: optional_column::<R>(self.damping, "damping")?,
             mass: mass_column(self.mass, self.inverse_mass)?,
-            ..Properties::default()
+            drag: optional_column::<Option<DragPair<R>>>(self.drag, "drag")?,
+            gravitational_mass: optional_column::<Option<R>>(self.gravitational_mass, "gravitational_mass")?,
         };
         Ok(Command::Set { ids: self.ids.map_or(Selection::All, selection), properties })
     }
@@ -365,6 +442,16 @@ pub(crate) struct SetOneBody<R: WireReal> {
     #[serde(default, deserialize_with = "present")]
     #[schema(value_type = Option<f64>, nullable = false, minimum = 0)]
     inverse_mass: Option<R>,
+    /// null: the drag of the world again.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<DragPairSchema>)]
+    #[expect(clippy::option_option, reason = "absent, null and a pair are three things")]
+    drag: Option<Option<DragPair<R>>>,
+    /// In kg; null: its mass again, and 0 when it is immovable.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<f64>, minimum = 0)]
+    #[expect(clippy::option_option, reason = "absent, null and a number are three things")]
+    gravitational_mass: Option<Option<R>>,
     #[serde(default, deserialize_with = "present")]
     #[schema(ignore)]
     position: Option<IgnoredAny>,
@@ -377,10 +464,11 @@ impl<R: WireReal> SetOneBody<R> {
     pub(crate) fn command(self, id: ParticleId) -> Result<Command<R>, Problem> {
         refuse_state(self.position.is_some(), self.velocity.is_some())?;
         let properties = Properties {
-            acceleration: self.acceleration.map(|own| Column::Uniform(own.map(|Vector(a)| a.into()))),
+            acceleration: self.acceleration.map(|own| Column::Uniform(own.value())),
             damping: self.damping.map(Column::Uniform),
             mass: mass(self.mass, self.inverse_mass, "")?.map(Column::Uniform),
-            ..Properties::default()
+            drag: self.drag.map(|own| Column::Uniform(own.value())),
+            gravitational_mass: self.gravitational_mass.map(Column::Uniform),
         };
         Ok(Command::Set { ids: id.into(), properties })
     }
@@ -462,6 +550,16 @@ pub(crate) struct ParticleView<R: WireReal> {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = VectorSchema)]
     force: Option<[R; 3]>,
+    /// Its own drag, where it has one; null only when asked for in `fields`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<DragPairSchema>)]
+    #[expect(clippy::option_option, reason = "not asked for, null and a pair are three things")]
+    drag: Option<Option<[R; 2]>>,
+    /// In kg, where it has one of its own; null only when asked for in `fields`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<f64>)]
+    #[expect(clippy::option_option, reason = "not asked for, null and a number are three things")]
+    gravitational_mass: Option<Option<R>>,
 }
 
 impl<R: WireReal> ParticleView<R> {
@@ -477,12 +575,24 @@ impl<R: WireReal> ParticleView<R> {
             mass: wants(Property::Mass).then(|| state.mass()),
             inverse_mass: wants(Property::InverseMass).then_some(state.inverse_mass),
             force: wants(Property::Force).then(|| state.force.into()),
+            drag: wants(Property::Drag).then(|| state.drag.map(pair)),
+            gravitational_mass: wants(Property::GravitationalMass).then_some(state.gravitational_mass),
         }
     }
 
+    /// Everything; without drag and gravitational mass where it has none.
     pub(crate) fn whole(state: &ParticleState<R>) -> Self {
-        Self::new(state, Property::ALL)
+        let every = Self::new(state, Property::ALL);
+        Self {
+            drag: every.drag.filter(Option::is_some),
+            gravitational_mass: every.gravitational_mass.filter(Option::is_some),
+            ..every
+        }
     }
+}
+
+fn pair<R: WireReal>(Drag { k1, k2 }: Drag<R>) -> [R; 2] {
+    [k1, k2]
 }
 
 /// Columns of all particles in ascending order of id; only the fields that were asked for.
@@ -520,6 +630,12 @@ pub(crate) struct State<R: WireReal> {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<Vec<VectorSchema>>, nullable = false)]
     force: Option<Vec<[R; 3]>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<Vec<Option<DragPairSchema>>>, nullable = false)]
+    drag: Option<Vec<Option<[R; 2]>>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<Vec<Option<f64>>>, nullable = false)]
+    gravitational_mass: Option<Vec<Option<R>>>,
 }
 
 impl<R: WireReal> State<R> {
@@ -546,6 +662,8 @@ impl<R: WireReal> State<R> {
             mass: start(wants(Property::Mass), count),
             inverse_mass: start(wants(Property::InverseMass), count),
             force: start(wants(Property::Force), count),
+            drag: start(wants(Property::Drag), count),
+            gravitational_mass: start(wants(Property::GravitationalMass), count),
         };
         for particle in world.particles() {
             state.id.push(particle.id.0);
@@ -557,6 +675,8 @@ impl<R: WireReal> State<R> {
             push(&mut state.mass, || particle.mass());
             push(&mut state.inverse_mass, || particle.inverse_mass);
             push(&mut state.force, || particle.force.into());
+            push(&mut state.drag, || particle.drag.map(pair));
+            push(&mut state.gravitational_mass, || particle.gravitational_mass);
         }
         state
     }

@@ -13,7 +13,7 @@ use crate::command::{Command, NewParticles, Outcome, Properties};
 use crate::ids::ParticleId;
 use crate::server::App;
 use crate::server::extract::{Change, NoParameters, Read, page_limit};
-use crate::server::json::{self, Object, Vector, WireReal, present};
+use crate::server::json::{self, Element, Object, Vector, WireReal, present};
 use crate::server::memory::PARTICLE_BYTES;
 use crate::server::problem::{Code, Problem, Shape};
 use crate::server::routes::{apply_to_many, many, whole};
@@ -48,7 +48,7 @@ enum CreateBody<'a> {
 #[derive(ToSchema)]
 #[schema(as = CreatedParticles)]
 #[serde(untagged)]
-#[expect(dead_code, reason = "stands for the answer in the description")]
+#[expect(dead_code, clippy::large_enum_variant, reason = "stands for the answer in the description")]
 enum CreateAnswer {
     One(ParticleView<f64>),
     Many(Created),
@@ -180,15 +180,16 @@ fn read_new<R: WireReal>(body: &[u8]) -> Result<New<R>, Problem> {
 async fn list_particles(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
     let any = app.slot(&read.target)?;
     let query = read.query::<ListQuery>().and_then(List::try_from);
-    let work = |list: &List, count: usize| 16 * list.limit.min(count) as u64;
+    let cost = |list: &List, count: usize| Cost::of(16 * list.limit.min(count) as u64);
     with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query,
-        |world, list| work(list, world.particle_count()),
-        |world, list| list.of(world)).await)
+        |world, list| cost(list, world.particle_count()),
+        |world, list, _| list.of(world)).await)
 }
 
 struct List {
     ids: Option<Vec<u64>>,
-    properties: Vec<Property>,
+    /// `None`: everything.
+    properties: Option<Vec<Property>>,
     limit: usize,
     after: Option<u64>,
 }
@@ -206,15 +207,11 @@ impl TryFrom<ListQuery> for List {
         }
         Ok(Self {
             ids,
-            properties: query.fields.map_or_else(|| Ok(all()), |fields| properties(&fields))?,
+            properties: query.fields.map(|fields| properties(&fields)).transpose()?,
             limit: page_limit(query.limit)?,
             after: query.after,
         })
     }
-}
-
-fn all() -> Vec<Property> {
-    <Property as json::Choice>::ALL.to_vec()
 }
 
 impl List {
@@ -228,7 +225,11 @@ impl List {
         let mut push = |state| {
             more = particles.len() == self.limit;
             if !more {
-                particles.push((ParticleView::new(&state, &self.properties), state.id.0));
+                let view = match &self.properties {
+                    None => ParticleView::whole(&state),
+                    Some(properties) => ParticleView::new(&state, properties),
+                };
+                particles.push((view, state.id.0));
             }
             more
         };
@@ -273,7 +274,7 @@ async fn set_particles(State(app): State<Arc<App>>, change: Change) -> Result<Re
 async fn read_particle(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
     let any = app.slot(&read.target)?;
     let query = read.query::<NoParameters>().and_then(|_| read.target.particle());
-    with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query, |_, _| 0, |world, id| {
+    with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query, |_, _| Cost::default(), |world, id, _| {
         Ok(whole(world, id)?.body)
     }).await)
 }
@@ -330,7 +331,7 @@ async fn set_mass(State(app): State<Arc<App>>, change: Change) -> Result<Respons
 async fn place_particle(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
     fn read<R: WireReal>(body: &[u8], id: ParticleId) -> Result<Command<R>, Problem> {
         let Object(PlaceBody { position, velocity }) = json::parse::<Object<PlaceBody<R>>>(body)?;
-        let column = |vector: Option<Vector<R>>| vector.map(|Vector(v)| Column::Uniform(v.into()));
+        let column = |vector: Option<Vector<R>>| vector.map(|vector| Column::Uniform(vector.value()));
         Ok(Command::Place { ids: id.into(), position: column(position), velocity: column(velocity) })
     }
     let any = app.slot(&change.target)?;
@@ -348,6 +349,6 @@ async fn read_state(State(app): State<Arc<App>>, read: Read) -> Result<Response,
         Some(fields) => properties(&fields),
     });
     with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query,
-        |world, properties| (3 * properties.len() * world.particle_count()) as u64,
-        |world, properties| Ok(json::write(&wire::State::of(world, &properties)))).await)
+        |world, properties| Cost::of((3 * properties.len() * world.particle_count()) as u64),
+        |world, properties, _| Ok(json::write(&wire::State::of(world, &properties)))).await)
 }

@@ -14,6 +14,7 @@ use utoipa::openapi::schema::{ObjectBuilder, OneOfBuilder, Schema, Type};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use crate::command::{Command, Configure, Settings, gravity};
+use crate::forces::Forces;
 use crate::integrator::{DampingLaw, Integrator};
 use crate::real::Precision;
 use crate::registry::Refused;
@@ -22,6 +23,7 @@ use crate::server::config::WORLDS_MAX;
 use crate::server::extract::{Change, NoParameters, Read, page_limit};
 use crate::server::json::{self, Element, Named, Object, Vector, WireReal, choices, parse_part, present};
 use crate::server::problem::{Code, Problem, Shape};
+use crate::server::settings::{ForcesBody, Parts, ToleranceBody};
 use crate::server::slot::{AnySlot, Cost, Reply, Slot, with_slot};
 use crate::server::wire::Description;
 use crate::world::World;
@@ -36,13 +38,13 @@ pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
 /// Settings of a world; every field is optional.
 #[derive(Debug, Default, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-#[schema(as = NewWorld, example = json!({"gravity": "standard", "integrator": "newton_euler", "max_step": 0.01}))]
+#[schema(as = NewWorld, example = json!({"gravity": "standard", "integrator": "rk4", "max_step": 0.01, "forces": {"drag": {"k2": 0.02}}}))]
 struct CreateWorld<'a> {
     /// `double` (default) or `single`; cannot be changed later.
     #[serde(default, deserialize_with = "present")]
     #[schema(schema_with = choices::<Precision>, required = false)]
     precision: Option<Named<Precision>>,
-    /// `exact` (default), `newton_euler`, `newton_euler_quadratic` or `semi_implicit_euler`.
+    /// How to move particles; default `exact`.
     #[serde(default, deserialize_with = "present")]
     #[schema(schema_with = choices::<Integrator>, required = false)]
     integrator: Option<Named<Integrator>>,
@@ -57,12 +59,24 @@ struct CreateWorld<'a> {
     /// The longest step, in seconds, of an advance that names no steps. Default null: one step.
     #[serde(default)]
     max_step: Option<f64>,
+    /// Drag and gravitation; default null: none. Not with `exact`.
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<ForcesBody<f64>>)]
+    forces: Option<&'a RawValue>,
+    /// What `dop853` chooses its steps for.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<ToleranceBody>, nullable = false)]
+    tolerance: Option<Object<ToleranceBody>>,
+    /// true: steps of `velocity_verlet`, `rk4` and `dop853` keep what rounding takes from position and velocity, and add
+    /// it later. Default false.
+    #[serde(default)]
+    compensated: bool,
 }
 
 /// New settings; an absent field stays.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-#[schema(as = ConfigureWorld, example = json!({"gravity": [0.0, -1.62, 0.0], "max_step": null}))]
+#[schema(as = ConfigureWorld, example = json!({"gravity": [0.0, -1.62, 0.0], "max_step": null, "tolerance": {"relative": 1e-12}}))]
 struct ConfigureWorld<'a> {
     #[serde(default, deserialize_with = "present")]
     #[schema(schema_with = choices::<Integrator>, required = false)]
@@ -78,6 +92,17 @@ struct ConfigureWorld<'a> {
     #[schema(value_type = Option<f64>)]
     #[expect(clippy::option_option, reason = "absent, null and a number are three things")]
     max_step: Option<Option<f64>>,
+    /// null switches both off, a member that is null that one; what is absent, in a member too, stays.
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<ForcesBody<f64>>)]
+    forces: Option<&'a RawValue>,
+    /// What is absent in it stays.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<ToleranceBody>, nullable = false)]
+    tolerance: Option<Object<ToleranceBody>>,
+    #[serde(default, deserialize_with = "present")]
+    #[schema(nullable = false)]
+    compensated: Option<bool>,
 }
 
 /// A gravity: a vector in m/s², or the name of a preset.
@@ -201,15 +226,18 @@ fn insert<R: WireReal>(
     any: impl FnOnce(Arc<Slot<R>>) -> AnySlot,
 ) -> Result<Response, Problem> {
     let default = Settings::<R>::default();
+    let (forces, tolerance) = Parts::read(body.forces, body.tolerance)?.over(&default);
     let settings = Settings {
         integrator: body.integrator.map_or(default.integrator, |Named(integrator)| integrator),
         gravity: body.gravity.map(read_gravity::<R>).transpose()?.unwrap_or(default.gravity),
         damping_law: body.damping_law.map_or(default.damping_law, |Named(law)| law),
         max_step: body.max_step,
-        ..default
+        forces,
+        tolerance,
+        compensated: body.compensated,
     };
-    let mut world = World::with_limits(settings, app.config.limits())
-        .map_err(|error| Problem::from_engine(error, Shape::Columns))?;
+    let mut world =
+        World::with_limits(settings, app.config.limits()).map_err(|error| Problem::from_engine(error, Shape::World))?;
     world.set_threads(&app.shared.threads);
     let answer = json::write(&Description::new(name, &world));
     app.worlds.insert(name, any(Arc::new(Slot::new(name, world, &app.shared)))).map_err(|refused| match refused {
@@ -252,7 +280,7 @@ async fn describe_world(State(app): State<Arc<App>>, read: Read) -> Result<Respo
     let any = app.slot(&read.target)?;
     let query = read.query::<NoParameters>();
     let name = read.target.world.clone();
-    with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query, |_, _| 0, move |world, _| {
+    with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query, |_, _| Cost::default(), move |world, _, _| {
         Ok(json::write(&Description::new(&name, world)))
     }).await)
 }
@@ -268,8 +296,8 @@ async fn digest_world(State(app): State<Arc<App>>, read: Read) -> Result<Respons
     let query = read.query::<NoParameters>();
     // A particle takes 0.15 µs, and 0.8 where the CPU has no instructions for SHA.
     with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query,
-        |world, _| 64 * world.particle_count() as u64,
-        |world, _| Ok(json::write(&DigestBody {
+        |world, _| Cost::of(64 * world.particle_count() as u64),
+        |world, _, _| Ok(json::write(&DigestBody {
             digest: world.digest().to_string(),
             time: world.time(),
             step_count: world.step_count(),
@@ -281,23 +309,33 @@ async fn digest_world(State(app): State<Arc<App>>, read: Read) -> Result<Respons
 #[utoipa::path(patch, path = "/v1/worlds/{world}", tag = "worlds", request_body = ConfigureWorld,
     responses((status = 200, body = Description<f64>, headers(("etag" = String)))))]
 async fn configure_world(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
-    fn read<R: WireReal>(body: &[u8]) -> Result<Configure<R>, Problem> {
+    fn read<R: WireReal>(body: &[u8]) -> Result<(Configure<R>, Parts<R>), Problem> {
         let Object(body) = json::parse::<Object<ConfigureWorld<'_>>>(body)?;
-        Ok(Configure {
+        let parts = Parts::read(body.forces, body.tolerance)?;
+        let configure = Configure {
             integrator: body.integrator.map(|Named(integrator)| integrator),
             gravity: body.gravity.map(read_gravity::<R>).transpose()?,
             damping_law: body.damping_law.map(|Named(law)| law),
             max_step: body.max_step,
+            compensated: body.compensated,
             ..Configure::default()
-        })
+        };
+        Ok((configure, parts))
     }
     let any = app.slot(&change.target)?;
     let name = change.target.world.clone();
     with_slot!(any, slot => {
         let parsed = read(&change.body);
         let cost = |world: &World<_>, _: &_| Cost::of(world.particle_count() as u64);
-        change.apply(&slot, parsed, cost, move |world, configure, _| {
-            world.apply(&Command::Configure(configure)).map_err(|error| Problem::from_engine(error, Shape::Columns))?;
+        change.apply(&slot, parsed, cost, move |world, (configure, parts), _| {
+            let (Forces { drag, gravitation }, tolerance) = parts.over(world.settings());
+            let command = Command::Configure(Configure {
+                drag: Some(drag),
+                gravitation: Some(gravitation),
+                tolerance: Some(tolerance),
+                ..configure
+            });
+            world.apply(&command).map_err(|error| Problem::from_engine(error, Shape::World))?;
             Ok(Reply::ok(json::write(&Description::new(&name, world))))
         }).await
     })
