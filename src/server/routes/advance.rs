@@ -10,14 +10,16 @@ use utoipa::openapi::RefOr;
 use utoipa::openapi::schema::{ArrayBuilder, Schema};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
-use crate::command::{Advance, Advanced, Command, Outcome};
+use crate::command::{Advance, Advanced, Command, Outcome, Plane, Settings, StepError, Until};
+use crate::ids::ParticleId;
+use crate::integrator::Integrator;
 use crate::server::App;
 use crate::server::extract::Change;
-use crate::server::json::{self, Named, Object, WireReal, choices, present};
-use crate::server::memory::PARTICLE_BYTES;
+use crate::server::json::{self, Named, Object, Vector, WireReal, choices, present};
+use crate::server::memory::{ADAPTIVE_BYTES, COMPARED_BYTES, PARTICLE_BYTES, SYSTEM_BYTES};
 use crate::server::problem::{Problem, Shape};
 use crate::server::slot::{Cost, Reply, with_slot};
-use crate::server::wire::{self, Property};
+use crate::server::wire::{self, Property, VectorSchema};
 use crate::world::World;
 
 pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
@@ -27,12 +29,15 @@ pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
 /// How far to advance, and in which steps.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-#[schema(as = Advance, example = json!({"duration": 0.5, "steps": 30, "return": ["position"]}))]
+#[schema(as = Advance, example = json!({
+    "duration": 0.5, "steps": 30, "return": ["position"], "report_error": true,
+    "until": {"particle": 0, "plane": {"normal": [0.0, 1.0, 0.0], "offset": 0.0}}
+}))]
 struct AdvanceBody {
     /// In seconds, above 0.
     #[schema(exclusive_minimum = 0)]
     duration: f64,
-    /// How many steps; `exact` validates it and takes 1. Not together with `max_step`.
+    /// How many steps; `exact` validates it and takes 1, `dop853` chooses its own. Not together with `max_step`.
     #[serde(default, deserialize_with = "present")]
     #[schema(nullable = false, minimum = 1)]
     steps: Option<u64>,
@@ -47,6 +52,47 @@ struct AdvanceBody {
     /// true: answer what would be, and change nothing.
     #[serde(default)]
     dry_run: bool,
+    /// true: the answer has `error`.
+    #[serde(default)]
+    report_error: bool,
+    /// Stop at the moment when a particle reaches a plane: the answer has `crossed`, and `time` is that moment.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<UntilBody>, nullable = false)]
+    until: Option<Object<UntilBody>>,
+}
+
+/// When to stop earlier.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(as = Until, example = json!({"particle": 0, "plane": {"normal": [0.0, 1.0, 0.0], "offset": 0.0}}))]
+struct UntilBody {
+    /// Its id.
+    particle: u64,
+    #[schema(value_type = PlaneBody)]
+    plane: Object<PlaneBody>,
+}
+
+/// The points x with normal · x = offset.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(as = Plane, example = json!({"normal": [0.0, 1.0, 0.0], "offset": 0.0}))]
+struct PlaneBody {
+    /// Not 0; of any length.
+    #[schema(value_type = VectorSchema)]
+    normal: Vector<f64>,
+    /// The distance from the origin in metres, times the length of the normal; default 0.
+    #[serde(default)]
+    offset: f64,
+}
+
+/// The largest distances, of any particle, from the closed form from the same start.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = StepError, example = json!({"position": 0.0025, "velocity": 0.0}))]
+struct StepErrorBody {
+    /// In metres.
+    position: f64,
+    /// In m/s.
+    velocity: f64,
 }
 
 fn properties_schema() -> Schema {
@@ -76,6 +122,23 @@ struct AdvancedBody<R: WireReal> {
     deferred: usize,
     /// Particles that nothing can move.
     skipped: usize,
+    /// Under `dop853`: steps taken back because their error was above the tolerance.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    rejected_steps: Option<u64>,
+    /// Under `dop853`: how often the accelerations of all particles were computed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    evaluations: Option<u64>,
+    /// With `report_error`: how far the steps ended from the closed form; null where there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<StepErrorBody>)]
+    #[expect(clippy::option_option, reason = "not asked for, null and an object are three things")]
+    error: Option<Option<StepErrorBody>>,
+    /// With `until`: whether the particle reached the plane.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    crossed: Option<bool>,
     revision: u64,
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<wire::State<f64>>, nullable = false)]
@@ -98,7 +161,7 @@ async fn advance(State(app): State<Arc<App>>, change: Change) -> Result<Response
             let properties: Option<Vec<Property>> =
                 body.properties.map(|names| names.into_iter().map(|Named(property)| property).collect());
             let apply = |world: &mut World<_>| {
-                let outcome = world.apply_unless(&command, cancelled).map_err(|error| Problem::from_engine(error, Shape::Columns))?;
+                let outcome = world.apply_unless(&command, cancelled).map_err(|error| Problem::from_engine(error, Shape::World))?;
                 let Outcome::Advanced(advanced) = outcome else { unreachable!("an advance answers with what it advanced") };
                 Ok((advanced, properties.as_ref().map(|properties| wire::State::of(world, properties))))
             };
@@ -110,7 +173,7 @@ async fn advance(State(app): State<Arc<App>>, change: Change) -> Result<Response
             if !body.dry_run {
                 metrics.advanced(&advanced);
             }
-            Ok(Reply::ok(json::write(&AdvancedBody::new(&advanced, world.revision(), state))))
+            Ok(Reply::ok(json::write(&AdvancedBody { state, ..AdvancedBody::new(&advanced, world, body.report_error) })))
         }).await
     })
 }
@@ -120,19 +183,62 @@ fn cost<R: WireReal>(world: &World<R>, body: &AdvanceBody) -> Cost {
     let written = 3 * body.properties.as_ref().map_or(0, Vec::len) as u64;
     let particles = world.particle_count() as u64;
     let copied = if body.dry_run { particles } else { 0 };
-    let work = world.work(&body.advance()).saturating_add(particles * written + copied);
-    Cost { work, bytes: copied * PARTICLE_BYTES }
+    let advance = body.advance();
+    let work = world.work(&advance).saturating_add(particles * written + copied);
+    Cost { work, bytes: copied * PARTICLE_BYTES + bytes_of_copies(world, &advance) }
+}
+
+/// What an advance takes besides the world, until it is done.
+pub(crate) fn bytes_of_copies<R: WireReal>(world: &World<R>, advance: &Advance) -> u64 {
+    let Settings { integrator, forces, .. } = *world.settings();
+    if integrator == Integrator::Exact {
+        return 0;
+    }
+    let in_place = integrator.is_euler() && !forces.any() && advance.until.is_none();
+    let system = if in_place { 0 } else { SYSTEM_BYTES };
+    let system = if integrator == Integrator::Dop853 { ADAPTIVE_BYTES } else { system };
+    let compared = if advance.report_error { COMPARED_BYTES } else { 0 };
+    (system + compared) * world.particle_count() as u64
 }
 
 impl AdvanceBody {
     fn advance(&self) -> Advance {
-        Advance { steps: self.steps, max_step: self.max_step, ..Advance::by(self.duration) }
+        let until = self.until.as_ref().map(|Object(UntilBody { particle, plane: Object(plane) })| Until {
+            particle: ParticleId(*particle),
+            plane: Plane { normal: plane.normal.0, offset: plane.offset },
+        });
+        let Self { duration, steps, max_step, report_error, .. } = *self;
+        Advance { duration, steps, max_step, report_error, until }
     }
 }
 
 impl<R: WireReal> AdvancedBody<R> {
-    fn new(advanced: &Advanced, revision: u64, state: Option<wire::State<R>>) -> Self {
-        let Advanced { time, duration, steps, step, step_count, integrated, deferred, skipped, .. } = *advanced;
-        Self { time, duration, steps, step, step_count, integrated, deferred, skipped, revision, state }
+    fn new(advanced: &Advanced, world: &World<R>, report_error: bool) -> Self {
+        let Advanced { time, duration, steps, step, step_count, integrated, deferred, skipped, crossed, .. } =
+            *advanced;
+        let chooses = world.settings().integrator == Integrator::Dop853;
+        Self {
+            time,
+            duration,
+            steps,
+            step,
+            step_count,
+            integrated,
+            deferred,
+            skipped,
+            rejected_steps: chooses.then_some(advanced.rejected_steps),
+            evaluations: chooses.then_some(advanced.evaluations),
+            error: report_error.then(|| advanced.error.map(StepErrorBody::new)),
+            crossed,
+            revision: world.revision(),
+            state: None,
+        }
+    }
+}
+
+impl StepErrorBody {
+    /// Two numbers can be further apart than the largest one; nothing that is not finite is written.
+    fn new(StepError { position, velocity }: StepError) -> Self {
+        Self { position: position.min(f64::MAX), velocity: velocity.min(f64::MAX) }
     }
 }
