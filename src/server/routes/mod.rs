@@ -4,6 +4,7 @@ pub(crate) mod advance;
 pub(crate) mod forces;
 pub(crate) mod particles;
 pub(crate) mod service;
+pub(crate) mod trajectory;
 pub(crate) mod worlds;
 
 use std::sync::Arc;
