@@ -142,6 +142,22 @@ fn a_client_that_goes_away_leaves_the_world_as_it_was() {
 }
 
 #[test]
+fn a_client_that_goes_away_ends_its_trajectory() {
+    let service = Service::with(|config| config.interactions_max = u64::MAX);
+    let mut client = service.client();
+    let path = "/v1/worlds/long";
+    client.put(path, "{\"integrator\":\"rk4\",\"max_step\":0.01,\"forces\":{\"gravitation\":{}}}").expect(201);
+    // Hours of work, if nobody stopped it.
+    client.post(&format!("{path}/particles"), "{\"count\":2000}").expect(201);
+    let mut leaving = service.client();
+    leaving
+        .raw(format!("GET {path}/particles/0/trajectory?duration=9999 HTTP/1.1\r\nhost: localhost\r\n\r\n").as_bytes());
+    wait_for_in_flight(service.address, 1);
+    drop(leaving);
+    client.get(path).expect(200);
+}
+
+#[test]
 fn a_deleted_world_is_gone_for_those_who_waited() {
     let service = Service::start();
     let mut client = service.client();

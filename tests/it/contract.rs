@@ -268,9 +268,14 @@ fn revisions_guard_changes_and_spare_reads() {
     client.post(&particles, "{}").expect(201);
     let etag = client.get(&path).header("etag").expect("a tag").to_owned();
     assert_eq!(etag, "\"1\"");
-    for read in
-        [path.clone(), particles.clone(), format!("{particles}/0"), format!("{path}/state"), format!("{path}/digest")]
-    {
+    for read in [
+        path.clone(),
+        particles.clone(),
+        format!("{particles}/0"),
+        format!("{path}/state"),
+        format!("{path}/digest"),
+        format!("{particles}/0/trajectory?duration=1"),
+    ] {
         assert_eq!(client.get(&read).header("etag"), Some("\"1\""), "{read}");
         for tags in ["\"1\"", "W/\"1\"", "*", "\"7\", \"1\""] {
             let unchanged = client.send("GET", &read, &[("if-none-match", tags)], None).expect(304);
@@ -336,7 +341,15 @@ fn the_service_tells_about_itself() {
     assert_eq!(service["version"], env!("CARGO_PKG_VERSION"));
     assert_eq!(
         service["integrators"],
-        json!(["exact", "newton_euler", "newton_euler_quadratic", "semi_implicit_euler"])
+        json!([
+            "exact",
+            "newton_euler",
+            "newton_euler_quadratic",
+            "semi_implicit_euler",
+            "velocity_verlet",
+            "rk4",
+            "dop853"
+        ])
     );
     assert_eq!(service["limits"]["steps_max"], 1_000_000);
     let head = client.send("HEAD", "/v1", &[], None).expect(200);

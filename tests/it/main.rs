@@ -15,6 +15,8 @@ mod connections;
 mod contract;
 /// The digest of a world: equal if and only if its future is.
 mod digest;
+/// Drag and gravitation, and what came with them, over HTTP.
+mod forces;
 /// Pinned digests of seeded scenes: the same bits on every machine, and from one version to the next.
 mod golden;
 /// The service against the library, to the bit.

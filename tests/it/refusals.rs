@@ -11,7 +11,8 @@ type Row = (&'static str, &'static str, &'static str, u16, &'static str, Option<
 type HeaderRow = (&'static str, &'static [(&'static str, &'static str)], u16, &'static str);
 
 /// Method, path, body, status, code, pointer. `@` stands for a world in double, `%` for one in single, both with the
-/// particles 0 to 3 of which 3 is removed, under `newton_euler`.
+/// particles 0 to 3 of which 3 is removed, under `newton_euler`; `~` for one under `dop853` with two that attract each
+/// other.
 #[rustfmt::skip]
 const ROWS: &[Row] = &[
     // Routes and methods.
@@ -157,7 +158,94 @@ const ROWS: &[Row] = &[
     ("PATCH", "@", "{\"damping_law\":\"per_step\",\"integrator\":\"exact\"}", 422, "integrator_cannot_serve_damping", None),
     ("PUT", "/v1/worlds/fresh", "{\"damping_law\":\"per_step\"}", 422, "integrator_cannot_serve_damping", None),
     ("PUT", "/v1/worlds/fresh", "{\"max_step\":0}", 422, "max_step_not_positive", Some("/max_step")),
-    // Limits: 8 particles, 3 worlds, 4096 bytes in the service of this test.
+    // Forces.
+    ("PUT", "/v1/worlds/fresh", "{\"forces\":{\"drag\":{}}}", 422, "integrator_cannot_serve_forces", None),
+    ("PATCH", "@", "{\"forces\":{\"gravitation\":{}},\"integrator\":\"exact\"}", 422, "integrator_cannot_serve_forces", None),
+    ("PATCH", "~", "{\"integrator\":\"exact\"}", 422, "integrator_cannot_serve_forces", None),
+    ("PUT", "/v1/worlds/fresh", "{\"forces\":1}", 422, "invalid_field", Some("/forces")),
+    ("PUT", "/v1/worlds/fresh", "{\"forces\":[null,null]}", 422, "invalid_field", Some("/forces")),
+    ("PUT", "/v1/worlds/fresh", "{\"forces\":{\"wind\":{}}}", 422, "unknown_field", Some("/forces/wind")),
+    ("PUT", "/v1/worlds/fresh", "{\"forces\":{\"drag\":[1,2]}}", 422, "invalid_field", Some("/forces/drag")),
+    ("PUT", "/v1/worlds/fresh", "{\"forces\":{\"drag\":{\"k3\":1}}}", 422, "unknown_field", Some("/forces/drag/k3")),
+    ("PUT", "/v1/worlds/fresh", "{\"forces\":{\"drag\":{\"k1\":null}}}", 422, "invalid_field", Some("/forces/drag/k1")),
+    ("PUT", "/v1/worlds/fresh", "{\"forces\":{\"drag\":{\"k1\":1,\"k1\":1}}}", 422, "duplicate_field", Some("/forces/drag/k1")),
+    ("PUT", "/v1/worlds/fresh", "{\"forces\":{\"drag\":{\"k1\":-1}}}", 422, "negative_value", Some("/forces/drag/k1")),
+    ("PUT", "/v1/worlds/fresh", "{\"forces\":{\"drag\":{\"k2\":1e400}}}", 422, "not_finite", Some("/forces/drag/k2")),
+    ("PUT", "/v1/worlds/fresh", "{\"precision\":\"single\",\"forces\":{\"drag\":{\"k2\":1e39}}}", 422, "not_finite", Some("/forces/drag/k2")),
+    ("PATCH", "@", "{\"forces\":{\"drag\":{\"k2\":-1}}}", 422, "negative_value", Some("/forces/drag/k2")),
+    ("PATCH", "@", "{\"forces\":{\"gravitation\":{\"constant\":-1}}}", 422, "negative_value", Some("/forces/gravitation/constant")),
+    ("PATCH", "@", "{\"forces\":{\"gravitation\":{\"softening\":-1}}}", 422, "negative_value", Some("/forces/gravitation/softening")),
+    ("PATCH", "%", "{\"forces\":{\"gravitation\":{\"softening\":1e39}}}", 422, "not_finite", Some("/forces/gravitation/softening")),
+    ("PATCH", "@", "{\"tolerance\":null}", 422, "invalid_field", Some("/tolerance")),
+    ("PATCH", "@", "{\"tolerance\":1e-9}", 422, "invalid_field", Some("/tolerance")),
+    ("PATCH", "@", "{\"tolerance\":{\"both\":1}}", 422, "unknown_field", Some("/tolerance/both")),
+    ("PATCH", "@", "{\"tolerance\":{\"absolute\":-1}}", 422, "negative_value", Some("/tolerance/absolute")),
+    ("PATCH", "@", "{\"tolerance\":{\"relative\":-1}}", 422, "negative_value", Some("/tolerance/relative")),
+    ("PATCH", "@", "{\"tolerance\":{\"relative\":1e400}}", 422, "not_finite", Some("/tolerance/relative")),
+    ("PUT", "/v1/worlds/fresh", "{\"tolerance\":{\"absolute\":0,\"relative\":0}}", 422, "invalid_field", Some("/tolerance")),
+    ("PUT", "/v1/worlds/fresh", "{\"compensated\":1}", 422, "invalid_field", Some("/compensated")),
+    ("PATCH", "@", "{\"compensated\":null}", 422, "invalid_field", Some("/compensated")),
+    ("POST", "@/particles", "{\"drag\":[1]}", 422, "invalid_field", Some("/drag")),
+    ("POST", "@/particles", "{\"drag\":[1,2,3]}", 422, "invalid_field", Some("/drag")),
+    ("POST", "@/particles", "{\"drag\":0.5}", 422, "invalid_field", Some("/drag")),
+    ("POST", "@/particles", "{\"drag\":{\"k1\":1}}", 422, "invalid_field", Some("/drag")),
+    ("POST", "@/particles", "{\"drag\":[1,null]}", 422, "invalid_field", Some("/drag/1")),
+    ("POST", "@/particles", "{\"drag\":[0,1e400]}", 422, "not_finite", Some("/drag/1")),
+    ("POST", "@/particles", "{\"drag\":[0,-1]}", 422, "negative_value", Some("/drag")),
+    ("POST", "@/particles", "[{},{\"drag\":[-1,0]}]", 422, "negative_value", Some("/1/drag")),
+    ("POST", "@/particles", "{\"count\":3,\"drag\":[-1,0]}", 422, "negative_value", Some("/drag")),
+    ("POST", "@/particles", "{\"count\":3,\"drag\":[[1,1],null,[0,-1]]}", 422, "negative_value", Some("/drag/2")),
+    ("POST", "@/particles", "{\"count\":3,\"drag\":[[1,1]]}", 422, "length_mismatch", Some("/drag")),
+    ("POST", "@/particles", "{\"count\":2,\"drag\":[1,[1,1]]}", 422, "invalid_field", Some("/drag/1")),
+    ("POST", "@/particles", "{\"gravitational_mass\":\"1\"}", 422, "invalid_field", Some("/gravitational_mass")),
+    ("POST", "@/particles", "{\"gravitational_mass\":-1}", 422, "negative_value", Some("/gravitational_mass")),
+    ("POST", "%/particles", "{\"gravitational_mass\":1e39}", 422, "not_finite", Some("/gravitational_mass")),
+    ("POST", "@/particles", "[{},{\"gravitational_mass\":-1}]", 422, "negative_value", Some("/1/gravitational_mass")),
+    ("POST", "@/particles", "{\"count\":2,\"gravitational_mass\":[null,-1]}", 422, "negative_value", Some("/gravitational_mass/1")),
+    ("POST", "@/particles", "{\"count\":2,\"gravitational_mass\":[1]}", 422, "length_mismatch", Some("/gravitational_mass")),
+    ("PATCH", "@/particles/0", "{\"drag\":[-1,0]}", 422, "negative_value", Some("/drag")),
+    ("PATCH", "@/particles/0", "{\"gravitational_mass\":-1}", 422, "negative_value", Some("/gravitational_mass")),
+    ("PATCH", "@/particles", "{\"ids\":[0,1],\"drag\":[[1,1],[-1,1]]}", 422, "negative_value", Some("/drag/1")),
+    ("PATCH", "@/particles", "{\"ids\":[0,1],\"gravitational_mass\":[1,-1]}", 422, "negative_value", Some("/gravitational_mass/1")),
+    ("POST", "~/particles", "[{},{\"damping\":0}]", 422, "integrator_cannot_serve_damping", Some("/1/damping")),
+    ("PATCH", "~/particles", "{\"damping\":[1,0]}", 422, "integrator_cannot_serve_damping", Some("/damping/1")),
+    ("PATCH", "~/particles/0", "{\"damping\":0}", 422, "integrator_cannot_serve_damping", Some("/damping")),
+    ("PATCH", "@", "{\"integrator\":\"rk4\",\"damping_law\":\"per_step\"}", 422, "integrator_cannot_serve_damping", None),
+    ("POST", "~/advance", "{\"duration\":1,\"steps\":2}", 422, "integrator_takes_no_steps", Some("/steps")),
+    ("POST", "@/advance", "{\"duration\":1,\"report_error\":1}", 422, "invalid_field", Some("/report_error")),
+    ("POST", "@/advance", "{\"duration\":1,\"until\":null}", 422, "invalid_field", Some("/until")),
+    ("POST", "@/advance", "{\"duration\":1,\"until\":[0]}", 422, "invalid_field", Some("/until")),
+    ("POST", "@/advance", "{\"duration\":1,\"until\":{\"plane\":{\"normal\":[0,1,0]}}}", 422, "missing_field", Some("/until/particle")),
+    ("POST", "@/advance", "{\"duration\":1,\"until\":{\"particle\":0}}", 422, "missing_field", Some("/until/plane")),
+    ("POST", "@/advance", "{\"duration\":1,\"until\":{\"particle\":0,\"plane\":{}}}", 422, "missing_field", Some("/until/plane/normal")),
+    ("POST", "@/advance", "{\"duration\":1,\"until\":{\"particle\":0,\"plane\":{\"normal\":[0,1]}}}", 422, "invalid_field", Some("/until/plane/normal")),
+    ("POST", "@/advance", "{\"duration\":1,\"until\":{\"particle\":0,\"plane\":{\"normal\":[0,0,0]}}}", 422, "invalid_field", Some("/until/plane/normal")),
+    ("POST", "@/advance", "{\"duration\":1,\"until\":{\"particle\":0,\"plane\":{\"normal\":[0,1e400,0]}}}", 422, "not_finite", Some("/until/plane/normal/1")),
+    ("POST", "@/advance", "{\"duration\":1,\"until\":{\"particle\":0,\"plane\":{\"normal\":[0,1,0],\"offset\":null}}}", 422, "invalid_field", Some("/until/plane/offset")),
+    ("POST", "@/advance", "{\"duration\":1,\"until\":{\"particle\":0,\"plane\":{\"normal\":[0,1,0],\"offset\":1e400}}}", 422, "not_finite", Some("/until/plane/offset")),
+    ("POST", "@/advance", "{\"duration\":1,\"until\":{\"particle\":0,\"plane\":{\"normal\":[0,1,0],\"d\":0}}}", 422, "unknown_field", Some("/until/plane/d")),
+    ("POST", "@/advance", "{\"duration\":1,\"until\":{\"particle\":3,\"plane\":{\"normal\":[0,1,0]}}}", 404, "unknown_particle", Some("/until/particle")),
+    ("POST", "@/advance", "{\"duration\":1,\"dry_run\":true,\"until\":{\"particle\":3,\"plane\":{\"normal\":[0,1,0]}}}", 404, "unknown_particle", Some("/until/particle")),
+    // Trajectories.
+    ("POST", "@/particles/0/trajectory", "{}", 405, "method_not_allowed", None),
+    ("GET", "/v1/worlds/nowhere/particles/0/trajectory", "", 404, "unknown_world", None),
+    ("GET", "@/particles/3/trajectory?duration=1", "", 404, "unknown_particle", None),
+    ("GET", "@/particles/00/trajectory?samples=x", "", 404, "unknown_particle", None),
+    ("GET", "@/particles/0/trajectory", "", 422, "invalid_parameter", None),
+    ("GET", "@/particles/0/trajectory?duration=x", "", 422, "invalid_parameter", None),
+    ("GET", "@/particles/0/trajectory?duration=1&duration=1", "", 422, "invalid_parameter", None),
+    ("GET", "@/particles/0/trajectory?duration=1&steps=1", "", 422, "invalid_parameter", None),
+    ("GET", "@/particles/0/trajectory?duration=1&samples=1", "", 422, "invalid_parameter", None),
+    ("GET", "@/particles/0/trajectory?duration=1&samples=2.5", "", 422, "invalid_parameter", None),
+    ("GET", "@/particles/0/trajectory?duration=1&samples=100001", "", 422, "invalid_parameter", None),
+    ("GET", "@/particles/0/trajectory?duration=0", "", 422, "duration_not_positive", None),
+    ("GET", "@/particles/0/trajectory?duration=-1", "", 422, "duration_not_positive", None),
+    ("GET", "@/particles/0/trajectory?duration=1e400", "", 422, "not_finite", None),
+    ("GET", "%/particles/0/trajectory?duration=1e39", "", 422, "not_finite", None),
+    ("GET", "@/particles/0/trajectory?duration=1e200", "", 422, "clock_out_of_range", None),
+    ("GET", "~/particles/0/trajectory?duration=1", "", 422, "compute_budget", None),
+    // Limits: 8 particles, 3 worlds, 4096 bytes, 40 interactions in the service of this test.
+    ("POST", "~/advance", "{\"duration\":1}", 422, "compute_budget", None),
     ("POST", "@/particles", "{\"count\":6}", 422, "limit_reached", None),
     ("POST", "@/particles", "{\"count\":1000000000000}", 422, "limit_reached", None),
     ("PUT", "/v1/worlds/third", "", 422, "limit_reached", None),
@@ -215,11 +303,14 @@ fn prepare(service: &Service) -> Client {
         client.post(&format!("{path}/particles/0/force"), "{\"force\":[1,2,3]}").expect(200);
         client.delete(&format!("{path}/particles/3")).expect(204);
     }
+    let settings = "{\"integrator\":\"dop853\",\"forces\":{\"gravitation\":{}}}";
+    client.put("/v1/worlds/adaptive", settings).expect(201);
+    client.post("/v1/worlds/adaptive/particles", "[{},{\"position\":[1,0,0]}]").expect(201);
     client
 }
 
 fn everything(client: &mut Client) -> Vec<String> {
-    ["/v1/worlds", "/v1/worlds/double/particles", "/v1/worlds/single/particles"]
+    ["/v1/worlds", "/v1/worlds/double/particles", "/v1/worlds/single/particles", "/v1/worlds/adaptive/particles"]
         .map(|path| client.get(path).expect(200).text().to_owned())
         .to_vec()
 }
@@ -233,7 +324,8 @@ fn check_refused(
 ) {
     let (method, path, headers, body) = request;
     let (status, code, pointer) = expected;
-    let path = path.replace('@', "/v1/worlds/double").replace('%', "/v1/worlds/single");
+    let path =
+        path.replace('@', "/v1/worlds/double").replace('%', "/v1/worlds/single").replace('~', "/v1/worlds/adaptive");
     let sent = (method != "GET" && method != "DELETE").then_some(body.as_bytes());
     let answer = client.send(method, &path, headers, sent);
     let context = format!("{method} {path} {headers:?} {body}: {}", answer.text());
@@ -249,7 +341,8 @@ fn check_refused(
 fn refusals_say_why_and_change_nothing() {
     let service = Service::with(|config| {
         config.particles_max = 8;
-        config.worlds_max = 2;
+        config.worlds_max = 3;
+        config.interactions_max = 40;
         config.body_bytes_max = 4096;
     });
     let mut client = prepare(&service);
