@@ -2,11 +2,12 @@
 //! other, in both precisions and with every integrator. Everything that can be read is equal to the bit.
 
 use std::fmt::Debug;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use pointmass::{
-    Advance, Column, Command, Configure, DampingLaw, Error, Integrator, Mass, NewParticles, Outcome, Particle,
-    ParticleId, Precision, Real, Selection, Settings, World,
+    Advance, Column, Command, Configure, DampingLaw, Drag, Error, Gravitation, Integrator, Limits, Mass, NewParticles,
+    Outcome, Particle, ParticleId, Plane, Precision, Properties, Real, Selection, Settings, Until, World,
 };
 use proptest::prelude::*;
 use serde::de::DeserializeOwned;
@@ -14,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::physics::set;
-use crate::service::{Client, shared};
+use crate::service::{Client, Service};
 
 /// A number that JSON carries in its own precision.
 pub(crate) trait Number: Real + Serialize + DeserializeOwned {
@@ -51,6 +52,8 @@ struct ReadParticle<R> {
     mass: Option<R>,
     inverse_mass: R,
     force: [R; 3],
+    drag: Option<[R; 2]>,
+    gravitational_mass: Option<R>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -91,6 +94,20 @@ fn mass<R: Number>(seed: u64) -> (Mass<R>, Value) {
     }
 }
 
+/// Coefficients of drag, or none.
+fn drag<R: Number>(seed: u64) -> Option<[R; 2]> {
+    (!seed.is_multiple_of(3)).then(|| [seed, seed.rotate_left(23)].map(|seed| share(seed.rotate_left(3))))
+}
+
+fn own_drag<R: Number>(seed: u64) -> Option<Drag<R>> {
+    drag(seed).map(|[k1, k2]| Drag { k1, k2 })
+}
+
+/// A mass that attracts, or none.
+fn attracting<R: Number>(seed: u64) -> Option<R> {
+    (!seed.is_multiple_of(3)).then(|| share(seed.rotate_left(5)))
+}
+
 /// A command, as random numbers; what they mean depends on the precision and on the particles there are.
 #[derive(Debug, Clone)]
 struct Step {
@@ -101,6 +118,14 @@ struct Step {
 fn steps() -> impl Strategy<Value = Vec<Step>> {
     let step = (0u32..14, any::<[u64; 6]>()).prop_map(|(kind, seeds)| Step { kind, seeds });
     prop::collection::vec(step, 1..25)
+}
+
+/// The most steps of an advance, in the service and in the library: numbers from random bits make `dop853` take many.
+const STEPS_MAX: u64 = 10_000;
+
+fn service() -> &'static Service {
+    static SERVICE: OnceLock<Service> = OnceLock::new();
+    SERVICE.get_or_init(|| Service::with(|config| config.steps_max = STEPS_MAX))
 }
 
 struct Lockstep<R: Number> {
@@ -122,14 +147,15 @@ impl<R: Number> Lockstep<R> {
     fn new(settings: Settings<R>) -> Self {
         static NEXT: AtomicU64 = AtomicU64::new(0);
         let path = format!("/v1/worlds/lockstep-{}", NEXT.fetch_add(1, Ordering::Relaxed));
-        let mut client = shared().client();
+        let mut client = service().client();
         let gravity: [R; 3] = settings.gravity.into();
         let body = json!({
             "precision": R::PRECISION.name(), "integrator": settings.integrator.name(), "gravity": gravity,
             "damping_law": settings.damping_law.name(), "max_step": settings.max_step
         });
         client.put(&path, &body.to_string()).expect(201);
-        let world = World::new(settings).expect("valid settings");
+        let limits = Limits { steps: STEPS_MAX, ..Limits::default() };
+        let world = World::with_limits(settings, limits).expect("valid settings");
         Self { world, client, path, ids: Vec::new() }
     }
 
@@ -150,11 +176,12 @@ impl<R: Number> Lockstep<R> {
             acceleration: own.map(Into::into),
             damping: share(seeds[4]),
             mass,
-            ..Particle::default()
+            drag: own_drag(seeds[5]),
+            gravitational_mass: attracting(seeds[2]),
         };
         let json = json!({
             "position": vector::<R>(seeds[0]), "velocity": vector::<R>(seeds[1]), "acceleration": own,
-            "damping": particle.damping
+            "damping": particle.damping, "drag": drag::<R>(seeds[5]), "gravitational_mass": attracting::<R>(seeds[2])
         });
         (particle, merged(json, mass_json))
     }
@@ -193,10 +220,14 @@ impl<R: Number> Lockstep<R> {
                     velocity: Column::Uniform(vector::<R>(s[1]).into()),
                     damping: Column::Uniform(share(s[4])),
                     mass: Column::Uniform(mass),
+                    drag: Column::Uniform(own_drag(s[2])),
+                    gravitational_mass: Column::PerParticle((0..count).map(|k| attracting(s[5] + k as u64)).collect()),
                     ..NewParticles::default()
                 };
+                let attracting: Vec<Option<R>> = (0..count).map(|k| attracting(s[5] + k as u64)).collect();
                 let json = json!({
-                    "count": count, "position": positions, "velocity": vector::<R>(s[1]), "damping": share::<R>(s[4])
+                    "count": count, "position": positions, "velocity": vector::<R>(s[1]), "damping": share::<R>(s[4]),
+                    "drag": drag::<R>(s[2]), "gravitational_mass": attracting
                 });
                 (Command::Create(new), "POST", particles, merged(json, mass_json))
             }
@@ -206,13 +237,18 @@ impl<R: Number> Lockstep<R> {
                 (command, "PUT", of(id, "/mass"), json)
             }
             4 => {
-                let command = set(
-                    ParticleId(id).into(),
-                    Some(Column::Uniform(own.map(Into::into))),
-                    Some(Column::Uniform(share(s[4]))),
-                    None,
-                );
-                (command, "PATCH", of(id, ""), json!({"acceleration": own, "damping": share::<R>(s[4])}))
+                let properties = Properties {
+                    acceleration: Some(Column::Uniform(own.map(Into::into))),
+                    damping: Some(Column::Uniform(share(s[4]))),
+                    drag: Some(Column::Uniform(own_drag(s[3]))),
+                    gravitational_mass: Some(Column::Uniform(attracting(s[1]))),
+                    ..Properties::default()
+                };
+                let json = json!({
+                    "acceleration": own, "damping": share::<R>(s[4]), "drag": drag::<R>(s[3]),
+                    "gravitational_mass": attracting::<R>(s[1])
+                });
+                (Command::Set { ids: ParticleId(id).into(), properties }, "PATCH", of(id, ""), json)
             }
             5 => {
                 let dampings: Vec<R> = (0..ids.len()).map(|k| share(s[4].rotate_left(k as u32))).collect();
@@ -226,8 +262,13 @@ impl<R: Number> Lockstep<R> {
                 (command, "PATCH", particles, json)
             }
             6 => {
-                let command = set(Selection::All, None, Some(Column::Uniform(share(s[4]))), None);
-                (command, "PATCH", particles, json!({"damping": share::<R>(s[4])}))
+                let properties = Properties {
+                    damping: Some(Column::Uniform(share(s[4]))),
+                    drag: Some(Column::Uniform(own_drag(s[3]))),
+                    ..Properties::default()
+                };
+                let json = json!({"damping": share::<R>(s[4]), "drag": drag::<R>(s[3])});
+                (Command::Set { ids: Selection::All, properties }, "PATCH", particles, json)
             }
             7 => {
                 let command =
@@ -257,12 +298,26 @@ impl<R: Number> Lockstep<R> {
             11 => (Command::Remove { ids: ParticleId(id).into() }, "DELETE", of(id, ""), Value::Null),
             12 => {
                 let gravity = vector::<R>(s[1]);
-                let integrator = s[2].is_multiple_of(2).then(|| Integrator::ALL[(s[3] % 4) as usize]);
+                let integrator = s[2].is_multiple_of(2).then(|| Integrator::ALL[(s[3] % 7) as usize]);
                 let mut json = json!({"gravity": gravity});
                 if let Some(integrator) = integrator {
                     json = merged(json, json!({"integrator": integrator.name()}));
                 }
-                let configure = Configure { gravity: Some(gravity.into()), integrator, ..Configure::default() };
+                let mut configure = Configure { gravity: Some(gravity.into()), integrator, ..Configure::default() };
+                if s[4].is_multiple_of(2) {
+                    let own = drag::<R>(s[5]);
+                    let constant = attracting::<R>(s[3]);
+                    configure.drag = Some(own_drag(s[5]));
+                    configure.gravitation =
+                        Some(constant.map(|constant| Gravitation { constant, softening: R::nearest(0.5) }));
+                    json = merged(
+                        json,
+                        json!({"forces": {
+                            "drag": own.map(|[k1, k2]| json!({"k1": k1, "k2": k2})),
+                            "gravitation": constant.map(|constant| json!({"constant": constant, "softening": 0.5}))
+                        }}),
+                    );
+                }
                 (Command::Configure(configure), "PATCH", self.path.clone(), json)
             }
             _ => {
@@ -279,8 +334,18 @@ impl<R: Number> Lockstep<R> {
                 if let Some(max_step) = max_step {
                     json = merged(json, json!({"max_step": max_step}));
                 }
+                let report_error = s[3].is_multiple_of(3);
+                if report_error {
+                    json = merged(json, json!({"report_error": true}));
+                }
+                let plane = Plane { normal: vector::<f64>(s[4]), offset: number(s[5]) };
+                let until = s[5].is_multiple_of(4).then_some(Until { particle: ParticleId(id), plane });
+                if let Some(Until { particle, plane }) = until {
+                    let plane = json!({"normal": plane.normal, "offset": plane.offset});
+                    json = merged(json, json!({"until": {"particle": particle.0, "plane": plane}}));
+                }
                 (
-                    Command::Advance(Advance { steps, max_step, ..Advance::by(duration) }),
+                    Command::Advance(Advance { duration, steps, max_step, report_error, until }),
                     "POST",
                     format!("{}/advance", self.path),
                     json,
@@ -308,6 +373,12 @@ impl<R: Number> Lockstep<R> {
                 for (name, count) in counts {
                     prop_assert_eq!(&body[name], &json!(count), "{}: {}", name, context);
                 }
+                let number = |value: &Value| value.as_f64().map(f64::to_bits);
+                let error = advanced.error.map(|error| [error.position, error.velocity].map(|x| x.min(f64::MAX)));
+                prop_assert_eq!(number(&body["error"]["position"]), error.map(|[p, _]| p.to_bits()), "{}", context);
+                prop_assert_eq!(number(&body["error"]["velocity"]), error.map(|[_, v]| v.to_bits()), "{}", context);
+                prop_assert_eq!(body["crossed"].as_bool(), advanced.crossed, "{}", context);
+                prop_assert_eq!(number(&body["time"]), Some(advanced.time.to_bits()), "{}", context);
                 prop_assert_eq!(&body["steps"], &json!(advanced.steps), "{}", context);
                 prop_assert_eq!(body["step"].as_f64().map(f64::to_bits), Some(advanced.step.to_bits()), "{}", context);
             }
@@ -366,6 +437,10 @@ impl<R: Number> Lockstep<R> {
             prop_assert_eq!(served.damping.bits(), state.damping.bits(), "damping after {}", context);
             prop_assert_eq!(served.inverse_mass.bits(), state.inverse_mass.bits(), "inverse mass after {}", context);
             prop_assert_eq!(served.mass.map(Number::bits), state.mass().map(Number::bits), "mass after {}", context);
+            let drag = state.drag.map(|drag| [drag.k1, drag.k2].map(Number::bits));
+            prop_assert_eq!(served.drag.map(|drag| drag.map(Number::bits)), drag, "drag after {}", context);
+            let attracting = state.gravitational_mass.map(Number::bits);
+            prop_assert_eq!(served.gravitational_mass.map(Number::bits), attracting, "after {}", context);
         }
         Ok(())
     }
