@@ -27,7 +27,7 @@ fn commands() -> Vec<(String, String)> {
 fn its_commands_answer_what_it_says() {
     let service = Service::start();
     let commands = commands();
-    assert!(commands.len() >= 9, "{} commands", commands.len());
+    assert!(commands.len() >= 12, "{} commands", commands.len());
     for (command, printed) in commands {
         let here = command.replace("localhost:8080", &service.address.to_string());
         let output = Command::new("sh").args(["-c", &here]).output().expect("sh");
@@ -54,6 +54,7 @@ fn its_tables_name_what_there_is() {
         ("| particles of a world | ", "particles_max"),
         ("| steps of an advance | ", "steps_max"),
         ("| steps x particles of an advance | ", "particle_steps_max"),
+        ("| interactions of an advance, under gravitation | ", "interactions_max"),
     ] {
         assert!(README.contains(&format!("{row}{} |", thousands(name))), "{name} is {}", thousands(name));
     }
