@@ -9,8 +9,8 @@ use crate::server::problem::{Code, Problem};
 /// The most that a particle takes: every column per-particle, room to grow, and the copy of a long advance.
 pub(crate) const PARTICLE_BYTES: u64 = 256;
 
-/// The most that an advance takes for each particle where it works on copies: columns, laws, the stages of a step, and the
-/// states around a plane.
+/// The most that an advance takes for each particle where it works on copies: columns, laws, the stages of a step, and
+/// the states around a plane.
 pub(crate) const SYSTEM_BYTES: u64 = 704;
 
 /// The same under `dop853`, which has more stages, and estimates of its error.

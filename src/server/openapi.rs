@@ -183,7 +183,7 @@ pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
     }
     let masses = [Code::MassNotPositive, Code::InverseMassNegative, Code::MassAndInverseMass];
     let serving = [Code::IntegratorCannotServeDamping, Code::IntegratorCannotServeForces];
-    // Of a particle: a coefficient or a mass below 0, and a damping of 0 under an integrator that cannot compute with it.
+    // Among them a coefficient or a mass below 0, and a damping of 0 that the integrator cannot compute with.
     let properties = [Code::DampingOutOfRange, Code::NegativeValue, Code::IntegratorCannotServeDamping];
     match operation {
         "create_world" | "create_named_by_service" => {
