@@ -100,6 +100,11 @@ impl Cost {
     pub(crate) fn of(work: u64) -> Self {
         Self { work, bytes: 0 }
     }
+
+    /// Of reading so many numbers: never so long that it waits for one of the places.
+    pub(crate) fn of_reading(numbers: u64) -> Self {
+        Self::of(numbers.min(LONG_WORK))
+    }
 }
 
 /// What a change answers.

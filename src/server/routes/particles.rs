@@ -180,7 +180,7 @@ fn read_new<R: WireReal>(body: &[u8]) -> Result<New<R>, Problem> {
 async fn list_particles(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
     let any = app.slot(&read.target)?;
     let query = read.query::<ListQuery>().and_then(List::try_from);
-    let cost = |list: &List, count: usize| Cost::of(16 * list.limit.min(count) as u64);
+    let cost = |list: &List, count: usize| Cost::of_reading(16 * list.limit.min(count) as u64);
     with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query,
         |world, list| cost(list, world.particle_count()),
         |world, list, _| list.of(world)).await)
@@ -349,6 +349,6 @@ async fn read_state(State(app): State<Arc<App>>, read: Read) -> Result<Response,
         Some(fields) => properties(&fields),
     });
     with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query,
-        |world, properties| Cost::of((3 * properties.len() * world.particle_count()) as u64),
+        |world, properties| Cost::of_reading((3 * properties.len() * world.particle_count()) as u64),
         |world, properties, _| Ok(json::write(&wire::State::of(world, &properties)))).await)
 }

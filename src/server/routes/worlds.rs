@@ -296,7 +296,7 @@ async fn digest_world(State(app): State<Arc<App>>, read: Read) -> Result<Respons
     let query = read.query::<NoParameters>();
     // A particle takes 0.15 µs, and 0.8 where the CPU has no instructions for SHA.
     with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query,
-        |world, _| Cost::of(64 * world.particle_count() as u64),
+        |world, _| Cost::of_reading(64 * world.particle_count() as u64),
         |world, _, _| Ok(json::write(&DigestBody {
             digest: world.digest().to_string(),
             time: world.time(),
