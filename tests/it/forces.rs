@@ -197,7 +197,9 @@ fn a_trajectory_that_diverges_is_refused() {
         client.post(&format!("{path}/particles"), "[{},{\"velocity\":[0,1e308,0]}]").expect(201);
         for (duration, code) in [("100", "diverged"), ("1e200", "clock_out_of_range")] {
             let answer = client.get(&format!("{path}/particles/1/trajectory?duration={duration}&samples=2"));
-            assert_eq!((answer.status, &answer.json()["code"]), (422, &json!(code)), "{integrator}: {}", answer.text());
+            let problem = answer.json();
+            assert_eq!((answer.status, &problem["code"]), (422, &json!(code)), "{integrator}: {}", answer.text());
+            assert_eq!(problem["particle"].as_u64(), (code == "diverged").then_some(1), "{integrator}: {problem}");
         }
         client.get(&format!("{path}/particles/0/trajectory?duration=100&samples=2")).expect(200);
     }
