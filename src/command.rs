@@ -258,7 +258,7 @@ impl Advance {
 ///
 /// ```
 /// use pointmass::{Advance, DVec3, Particle, Plane, Settings, Until, World};
-/// let mut world = World::new(Settings { gravity: DVec3::new(0.0, -10.0, 0.0), ..Settings::default() })?;
+/// let mut world = World::<f64>::new(Settings { gravity: DVec3::new(0.0, -10.0, 0.0), ..Settings::default() })?;
 /// let ball = world.create(Particle { position: DVec3::new(0.0, 20.0, 0.0), ..Particle::default() })?;
 /// let ground = Plane { normal: [0.0, 1.0, 0.0], offset: 0.0 };
 /// let until = Some(Until { particle: ball, plane: ground });

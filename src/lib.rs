@@ -23,9 +23,10 @@
 //! # Code map
 //!
 //! [`World`] applies [`Command`]s; the methods of `World` are commands for one particle. `world` has a file for changes,
-//! one for time and one for the digest (feature `digest`); `kernel` has the stepped integrators and `closed_form` the
-//! exact one. Columns, ids and the double-double clock have a file each. Everything under `server` speaks HTTP; nothing
-//! else does. ARCHITECTURE.md says why.
+//! one for time and one for the digest (feature `digest`); `closed_form` has the exact integrator, `kernel` the stepped
+//! ones under constant accelerations, and `system` those under forces that depend on the state. Columns, ids and the
+//! double-double clock have a file each. Everything under `server` speaks HTTP; nothing else does. ARCHITECTURE.md says
+//! why.
 
 mod accumulators;
 mod base_times;

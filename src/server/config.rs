@@ -46,7 +46,6 @@ pub struct Cli {
 
 /// What the binary does.
 #[derive(Debug, Subcommand)]
-#[expect(clippy::large_enum_variant, reason = "there is one in a process")]
 pub enum Command {
     /// Listen and answer until SIGTERM or SIGINT, then finish what is in flight and exit with 0.
     Serve(Box<Config>),

@@ -10,7 +10,7 @@ use fearless_simd::{Simd, SimdBase, dispatch};
 use crate::command::Tolerance;
 use crate::real::Real;
 use crate::system::runge_kutta::{RungeKutta, Weights, sums, weights};
-use crate::system::{Field, Scheme, State, System, Turn, come_to_rest, dop853};
+use crate::system::{Field, Scheme, State, System, Turn, come_to_rest, dop853, norm};
 
 /// The steps of one advance.
 #[derive(Debug)]
@@ -150,7 +150,7 @@ impl<R: Real> Adaptive<R> {
     /// The magnitude of a change of position and velocity in units of the tolerance, of the particle where it is largest.
     fn norm(&self, field: &Field<'_, R>, state: &State<R>, change_p: &[R], change_v: &[R]) -> f64 {
         let part =
-            |i: usize, change: &[R], of: &[R]| self.tolerance.part(square(field, change, i), square(field, of, i));
+            |i: usize, change: &[R], of: &[R]| self.tolerance.part(length(field, change, i), length(field, of, i));
         let norm = |i: usize| 0.5 * (part(i, change_p, &state.p) + part(i, change_v, &state.v));
         (0..field.len).map(norm).fold(0.0, f64::max).sqrt()
     }
@@ -158,19 +158,20 @@ impl<R: Real> Adaptive<R> {
 
 impl Tolerance {
     /// The square of an error in units of the tolerance, for a vector of a magnitude.
-    fn part(&self, error_squared: f64, magnitude_squared: f64) -> f64 {
-        if error_squared == 0.0 {
+    fn part(&self, error: f64, magnitude: f64) -> f64 {
+        if error == 0.0 {
             return 0.0;
         }
-        let scale = self.absolute + self.relative * magnitude_squared.sqrt();
-        error_squared / (scale * scale)
+        let part = error / (self.absolute + self.relative * magnitude);
+        part * part
     }
 }
 
-/// |x|² of one particle.
-fn square<R: Real>(field: &Field<'_, R>, columns: &[R], i: usize) -> f64 {
+/// |x| of one particle.
+fn length<R: Real>(field: &Field<'_, R>, columns: &[R], i: usize) -> f64 {
     let [x, y, z]: [f64; 3] = [0, 1, 2].map(|axis| columns[axis * field.stride + i].into());
-    x * x + y * y + z * z
+    let square = x * x + y * y + z * z;
+    if (1e-280..1e280).contains(&square) { square.sqrt() } else { norm([x, y, z]) }
 }
 
 /// By square roots, which are rounded correctly everywhere.
@@ -194,7 +195,7 @@ impl<R: Real> Estimate<R> {
         let [fifth_p, fifth_v, third_p, third_v] = &self.errors;
         let mut most: f64 = 0.0;
         for i in 0..field.len {
-            let of = |column| square(field, column, i);
+            let of = |column| length(field, column, i);
             let (size_p, size_v) = (of(&before.p).max(of(after_p)), of(&before.v).max(of(after_v)));
             let fifth = 0.5 * (tolerance.part(of(fifth_p), size_p) + tolerance.part(of(fifth_v), size_v));
             let third = 0.5 * (tolerance.part(of(third_p), size_p) + tolerance.part(of(third_v), size_v));

@@ -146,13 +146,16 @@ fn group<S: Simd, R: Real, const N: usize>(
             let source = [splat(*x), splat(*y), splat(*z)];
             let gm = splat(*strength);
             for n in 0..N {
-                let d = [source[0] - target[0][n], source[1] - target[1][n], source[2] - target[2][n]];
+                let mut d = [source[0] - target[0][n], source[1] - target[1][n], source[2] - target[2][n]];
                 let square = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) + softening;
                 let is_near = square.simd_lt(near);
                 let mut inverse = one / square.sqrt();
                 if is_near.any_true() {
                     let apart = d[0].abs() + d[1].abs() + d[2].abs();
                     inverse = is_near.select(zero, inverse);
+                    for d in &mut d {
+                        *d = is_near.select(zero, *d);
+                    }
                     let place = [target[0][n], target[1][n], target[2][n]];
                     // Mostly it is a particle and itself.
                     if (is_near & !apart.simd_eq(zero)).any_true() {
@@ -165,7 +168,7 @@ fn group<S: Simd, R: Real, const N: usize>(
                 // The magnitude, and then its share: nothing on the way is larger or smaller than the result.
                 let magnitude = gm * (inverse * inverse);
                 for k in 0..3 {
-                    sum[k][n] = sum[k][n] + magnitude * (is_near.select(zero, d[k]) * inverse);
+                    sum[k][n] = sum[k][n] + magnitude * (d[k] * inverse);
                 }
             }
         }

@@ -31,7 +31,7 @@ pub struct StepPlan {
 }
 
 /// Clocks stay below 2⁴⁰⁰ s, so that the square of a time is finite.
-const CLOCK_MAX: f64 = f64::from_bits((1023 + 400) << 52);
+pub(super) const CLOCK_MAX: f64 = f64::from_bits((1023 + 400) << 52);
 
 /// Particle-steps between two looks at whether an advance is cancelled: some milliseconds. Whoever shares the threads has
 /// its turn as often.

@@ -29,7 +29,7 @@ impl<R: Real> World<R> {
     }
 
     /// Pairs of an attracting and an attracted particle.
-    fn pairs(&self) -> u64 {
+    pub(super) fn pairs(&self) -> u64 {
         if self.settings.forces.gravitation.is_none() {
             return 0;
         }
@@ -64,7 +64,7 @@ impl<R: Real> World<R> {
             Done { evaluations, ..Done::planned(plan) }
         };
         if self.settings.integrator != Integrator::Dop853 {
-            self.check_finite(plan, &columns, cancelled)?;
+            self.check_finite(plan.step, done.steps, &columns, cancelled)?;
         }
         self.keep_resting(&mut columns);
         let particles = &mut self.particles;
@@ -251,10 +251,10 @@ impl<R: Real> World<R> {
 
     /// Refuses the end of an advance that did not stay finite: the smallest id of such a particle, and its first step,
     /// found by taking all of them again.
-    fn check_finite(&self, plan: StepPlan, columns: &Columns<R>, cancelled: &AtomicBool) -> Result<(), Error> {
+    fn check_finite(&self, h: f64, steps: u64, columns: &Columns<R>, cancelled: &AtomicBool) -> Result<(), Error> {
         let ended = columns[0].iter().zip(&columns[1]).enumerate();
-        let diverged = ended.filter(|(_, (p, v))| kernel::non_finite(*p, *v).is_some());
-        let Some((particle, row)) = diverged.map(|(row, _)| (self.ids.id(row), row)).min() else { return Ok(()) };
+        let diverged = ended.filter_map(|(row, (p, v))| Some((self.ids.id(row), row, kernel::non_finite(p, v)?)));
+        let Some((particle, row, quantity)) = diverged.min_by_key(|(id, _, _)| *id) else { return Ok(()) };
         let len = self.particles.len();
         let (rows, index) = if self.settings.forces.gravitation.is_some() { (0..len, row) } else { (row..row + 1, 0) };
         let residual = &self.particles.residual;
@@ -262,8 +262,8 @@ impl<R: Real> World<R> {
         let (p, v) = (of(&self.particles.position), of(&self.particles.velocity));
         let mut state = State::new(&p, &v, &of(&residual.position), &of(&residual.velocity));
         let mut system = self.system(rows.clone(), cancelled);
-        for step in 1..=plan.steps {
-            system.step(plan.step, Turn { step, last: step == plan.steps }, &mut state);
+        for step in 1..steps {
+            system.step(h, Turn { step, last: false }, &mut state);
             if cancelled.load(Ordering::Relaxed) {
                 return Err(Error::Cancelled);
             }
@@ -272,6 +272,7 @@ impl<R: Real> World<R> {
                 return Err(Error::Diverged { particle, quantity, step });
             }
         }
-        unreachable!("the same steps end the same way, and what is not finite once stays so")
+        // Then it was the last step, which may have been a shorter one.
+        Err(Error::Diverged { particle, quantity, step: steps })
     }
 }

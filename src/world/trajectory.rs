@@ -5,11 +5,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use crate::closed_form::Decay;
 use crate::command::Advance;
 use crate::double_double::DoubleDouble;
-use crate::error::Error;
+use crate::error::{Error, Limits};
 use crate::ids::ParticleId;
 use crate::integrator::Integrator;
+use crate::kernel;
 use crate::real::Real;
 use crate::world::World;
+use crate::world::advance::CLOCK_MAX;
+use crate::world::bounds::Bounds;
 
 /// The way of a particle.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,7 +32,7 @@ impl<R: Real> World<R> {
     ///
     /// ```
     /// use pointmass::{DVec3, Particle, Settings, World};
-    /// let mut world = World::new(Settings { gravity: DVec3::new(0.0, -10.0, 0.0), ..Settings::default() })?;
+    /// let mut world = World::<f64>::new(Settings { gravity: DVec3::new(0.0, -10.0, 0.0), ..Settings::default() })?;
     /// let ball = world.create(Particle { velocity: DVec3::new(3.0, 20.0, 0.0), ..Particle::default() })?;
     /// let way = world.trajectory(ball, 4.0, 5)?;
     /// assert_eq!(way.time, [0.0, 1.0, 2.0, 3.0, 4.0]);
@@ -59,6 +62,9 @@ impl<R: Real> World<R> {
             return Err(Error::TooFewSamples);
         }
         self.plan(&Advance::by(duration))?;
+        if (self.clock + DoubleDouble::from(duration)).hi > CLOCK_MAX {
+            return Err(Error::ClockOutOfRange);
+        }
         #[expect(clippy::cast_precision_loss, reason = "a count of samples is a small number")]
         let moment = |sample: usize| duration * (sample as f64 / (samples - 1) as f64);
         let (position, velocity) = self.now(row);
@@ -71,12 +77,18 @@ impl<R: Real> World<R> {
         if self.settings.integrator == Integrator::Exact {
             for sample in 1..samples {
                 let clock = self.clock + DoubleDouble::from(moment(sample));
-                push(clock, self.state_at(row, moment(sample)));
+                let (p, v) = self.state_at(row, moment(sample));
+                if let Some(quantity) = kernel::non_finite(&p, &v) {
+                    return Err(Error::Diverged { particle: id, quantity, step: 1 });
+                }
+                push(clock, (p, v));
             }
             return Ok(way);
         }
-        let mut future = if self.settings.forces.gravitation.is_some() { self.clone() } else { self.alone(row) };
-        let row = if future.particles.len() == 1 { 0 } else { row };
+        let alone = self.settings.forces.gravitation.is_none();
+        let mut future = if alone { self.alone(row) } else { self.clone() };
+        let row = if alone { 0 } else { row };
+        let (len, pairs) = (future.particles.len() as u64, future.pairs());
         let forces = future.particles.force.clone();
         for sample in 1..samples {
             if cancelled.load(Ordering::Relaxed) {
@@ -84,7 +96,21 @@ impl<R: Real> World<R> {
             }
             future.particles.force = forces.clone();
             future.bounds.force = self.bounds.force;
-            future.advance_all(&Advance::by(moment(sample) - moment(sample - 1)), cancelled)?;
+            let advance = Advance::by(moment(sample) - moment(sample - 1));
+            let done = future.advance_all(&advance, cancelled).map_err(|error| {
+                // A particle by itself has another id.
+                if let (Error::Diverged { quantity, step, .. }, true) = (error, alone) {
+                    Error::Diverged { particle: id, quantity, step }
+                } else {
+                    error
+                }
+            })?;
+            // What one advance may cost, all of them may.
+            let steps = done.steps + done.rejected_steps;
+            let Limits { steps: left, particle_steps, interactions, .. } = &mut future.limits;
+            *left = left.saturating_sub(steps);
+            *particle_steps = particle_steps.saturating_sub(steps.saturating_mul(len));
+            *interactions = interactions.saturating_sub(done.evaluations.saturating_mul(pairs));
             push(future.clock, (future.particles.position[row], future.particles.velocity[row]));
         }
         Ok(way)
@@ -126,6 +152,7 @@ impl<R: Real> World<R> {
         alone.clock = self.clock;
         alone.particles = self.particles.alone(row, self.clock, self.settings.compensated);
         alone.ids.create(1);
+        alone.bounds = Bounds::of(&alone.particles, alone.gravity());
         alone
     }
 }
