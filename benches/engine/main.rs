@@ -8,8 +8,12 @@
 #![expect(clippy::cast_precision_loss, reason = "counts of particles and nanoseconds are far below 2⁵³")]
 
 mod book;
+#[path = "../shared/colours.rs"]
+mod colours;
 mod compare;
 mod exact;
+#[path = "../shared/host.rs"]
+mod host;
 mod machine;
 mod memory;
 mod plot;
@@ -19,6 +23,8 @@ mod report;
 mod rest;
 mod scene;
 mod stepping;
+#[path = "../shared/table.rs"]
+mod table;
 mod threads;
 
 use compare::{Bench, Group};

@@ -10,7 +10,7 @@ use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 
 use crate::compare::Measured;
-use crate::report::unit;
+use crate::table::unit;
 
 pub(crate) struct Plot {
     pub(crate) file: &'static str,

@@ -1,18 +1,10 @@
 //! Which plots there are, and what each shows.
 
-use plotters::style::RGBColor;
-
+use crate::colours::{BLACK, BLUE, GREEN, GREY, RED};
 use crate::exact::{EAGER, TICK};
 use crate::plot::{Line, Plot};
 use crate::stepping::{BOOK, EXACT, EXACT_ONE, GROWTH, MANY, ONE, PEAK, SIXTY, STEPPING, STEPS, UPDATE};
 use crate::threads::{ONE as ONE_THREAD, THREADS, TWO as TWO_THREADS};
-
-// The colours of Okabe and Ito, which people tell apart who see fewer of them.
-const BLACK: RGBColor = RGBColor(60, 60, 60);
-const BLUE: RGBColor = RGBColor(0, 114, 178);
-const RED: RGBColor = RGBColor(213, 94, 0);
-const GREEN: RGBColor = RGBColor(0, 158, 115);
-const GREY: RGBColor = RGBColor(140, 140, 140);
 
 const UNIFORM: &str = "uniform, damped";
 const EACH: &str = "per-particle, damped";

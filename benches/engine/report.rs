@@ -4,8 +4,9 @@ use std::fmt::Write;
 use std::path::Path;
 
 use crate::compare::{Case, Cell, Group, Measured};
-use crate::machine;
+use crate::host;
 use crate::plots;
+use crate::table::{aligned, digits, grouped, time};
 
 pub(crate) fn print(groups: &[Group], measured: &[Measured]) {
     for group in groups {
@@ -20,7 +21,7 @@ pub(crate) fn write(groups: &[Group], measured: &[Measured]) -> Result<(), Box<d
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
     std::fs::create_dir_all(&docs)?;
     let mut page = String::from("# Benchmarks\n\nWritten by `cargo bench`; `benchmarks.csv` has every number.\n\n");
-    for (what, value) in machine::description() {
+    for (what, value) in host::description() {
         writeln!(page, "* {what}: {value}")?;
     }
     page.push_str(METHOD);
@@ -73,26 +74,6 @@ fn cell<'a>(cell: &Cell, find: impl Fn(&str) -> Option<&'a Measured>) -> Option<
     })
 }
 
-/// A Markdown table that is also readable as it is.
-fn aligned(rows: &[Vec<String>]) -> String {
-    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..rows[0].len()).map(width).collect();
-    // Words to the left, numbers to the right.
-    let line = |row: &[String]| {
-        let cells = row.iter().zip(&widths).enumerate().map(|(column, (cell, &width))| {
-            if column < 2 { format!(" {cell:<width$} ") } else { format!(" {cell:>width$} ") }
-        });
-        format!("|{}|\n", cells.collect::<Vec<_>>().join("|"))
-    };
-    let ruler = widths
-        .iter()
-        .enumerate()
-        .map(|(column, &width)| if column < 2 { "-".repeat(width + 2) } else { format!("{}:", "-".repeat(width + 1)) });
-    let ruler = format!("|{}|\n", ruler.collect::<Vec<_>>().join("|"));
-    let [head, rows @ ..] = rows else { return String::new() };
-    line(head) + &ruler + &rows.iter().map(|row| line(row)).collect::<String>()
-}
-
 fn csv(measured: &[Measured]) -> String {
     let mut text = String::from("group,precision,scene,size,contender,unit,median,best,rounds\n");
     for m in measured {
@@ -105,46 +86,6 @@ fn csv(measured: &[Measured]) -> String {
             m.group, m.contender
         )
         .expect("a string takes it");
-    }
-    text
-}
-
-fn time(ns: f64) -> String {
-    let (value, unit) = unit(ns);
-    format!("{} {unit}", digits(value))
-}
-
-/// Nanoseconds in the unit that fits.
-pub(crate) fn unit(ns: f64) -> (f64, &'static str) {
-    match ns {
-        _ if ns < 999.5 => (ns, "ns"),
-        _ if ns < 999.5e3 => (ns / 1e3, "µs"),
-        _ if ns < 999.5e6 => (ns / 1e6, "ms"),
-        _ => (ns / 1e9, "s"),
-    }
-}
-
-/// Three digits that count, at most three decimals.
-fn digits(value: f64) -> String {
-    let decimals = if value < 1.0 {
-        3
-    } else if value < 10.0 {
-        2
-    } else {
-        usize::from(value < 100.0)
-    };
-    format!("{value:.decimals$}")
-}
-
-/// 1234567 as 1,234,567.
-fn grouped(n: usize) -> String {
-    let digits = n.to_string();
-    let mut text = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
     }
     text
 }

@@ -1,0 +1,91 @@
+//! Which integrator with which setting.
+
+use std::fmt::{self, Display};
+
+use plotters::style::RGBColor;
+use pointmass::{Integrator, Real, Settings, Tolerance};
+
+use crate::colours::{BLACK, BLUE, GREEN, GREY, RED};
+use crate::measure::whole;
+
+const ORANGE: RGBColor = RGBColor(230, 159, 0);
+const PURPLE: RGBColor = RGBColor(204, 121, 167);
+
+/// An integrator, with plain or compensated sums.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Method {
+    pub(crate) integrator: Integrator,
+    pub(crate) compensated: bool,
+}
+
+/// What decides how much work a method does.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Setting {
+    /// The closed form: how many advances make up the whole.
+    Advances(u64),
+    /// Steps of one advance.
+    Steps(u64),
+    /// The relative tolerance of each step; the absolute one is 0.
+    Tolerance(f64),
+}
+
+impl Setting {
+    /// How many steps, where they are fixed.
+    pub(crate) fn steps(self) -> Option<f64> {
+        match self {
+            Self::Steps(steps) => Some(whole(steps)),
+            Self::Advances(_) | Self::Tolerance(_) => None,
+        }
+    }
+}
+
+impl Method {
+    /// In the order of legends and tables.
+    pub(crate) const ALL: [Self; 10] = [
+        Self::plain(Integrator::NewtonEuler),
+        Self::plain(Integrator::NewtonEulerQuadratic),
+        Self::plain(Integrator::SemiImplicitEuler),
+        Self::plain(Integrator::VelocityVerlet),
+        Self::compensated(Integrator::VelocityVerlet),
+        Self::plain(Integrator::Rk4),
+        Self::compensated(Integrator::Rk4),
+        Self::plain(Integrator::Dop853),
+        Self::compensated(Integrator::Dop853),
+        Self::plain(Integrator::Exact),
+    ];
+
+    pub(crate) const fn plain(integrator: Integrator) -> Self {
+        Self { integrator, compensated: false }
+    }
+
+    pub(crate) const fn compensated(integrator: Integrator) -> Self {
+        Self { integrator, compensated: true }
+    }
+
+    pub(crate) fn settings<R: Real>(self, setting: Setting) -> Settings<R> {
+        let tolerance = match setting {
+            Setting::Tolerance(relative) => Tolerance { absolute: 0.0, relative },
+            Setting::Advances(_) | Setting::Steps(_) => Tolerance::default(),
+        };
+        Settings { integrator: self.integrator, compensated: self.compensated, tolerance, ..Settings::default() }
+    }
+
+    /// The same everywhere.
+    pub(crate) fn colour(self) -> RGBColor {
+        match self.integrator {
+            Integrator::NewtonEuler => BLACK,
+            Integrator::NewtonEulerQuadratic => GREY,
+            Integrator::SemiImplicitEuler => ORANGE,
+            Integrator::VelocityVerlet => BLUE,
+            Integrator::Rk4 => RED,
+            Integrator::Dop853 => PURPLE,
+            Integrator::Exact => GREEN,
+        }
+    }
+}
+
+impl Display for Method {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}{}", self.integrator, if self.compensated { ", compensated" } else { "" })
+    }
+}
