@@ -9,7 +9,7 @@ use crate::method::Method;
 use crate::work::{Point, Spec};
 
 /// Errors below this are of the comparison, not of the run.
-const FLOOR: f64 = 1e-17;
+const FLOOR: f64 = 1e-16;
 
 /// Error over run time, a panel for each precision.
 pub(crate) fn work(spec: &Spec, points: &[&Point]) -> Chart {

@@ -91,16 +91,12 @@ fn orbits_in<R: Real>(scene: &Scene, small: bool) -> Vec<Curve> {
         (method, Setting::Tolerance(tolerance), format!("{} {tolerance:.0e}{compensated}", method.integrator))
     };
     let dop853 = Integrator::Dop853;
-    let (coarse, fine) = match scene.precision {
-        Precision::Single => (1e-5, 1e-9),
-        Precision::Double => (1e-9, 1e-16),
-    };
     let ways = [
         per_orbit(Method::plain(Integrator::NewtonEuler), 6_400),
         per_orbit(Method::plain(Integrator::VelocityVerlet), 6_400),
         per_orbit(Method::plain(Integrator::Rk4), 6_400),
-        tolerance(Method::plain(dop853), coarse),
-        tolerance(Method::compensated(dop853), fine),
+        tolerance(Method::plain(dop853), 1e-7),
+        tolerance(Method::compensated(dop853), 1e-17),
     ];
     let ends = if small { &scene.ends[..1] } else { &scene.ends[..] };
     let curve = |(method, setting, name): (Method, Setting, String)| {
@@ -140,7 +136,7 @@ pub(crate) fn energy(scene: &Scene, small: bool) -> Vec<Curve> {
         fixed(Integrator::VelocityVerlet),
         fixed(Integrator::Rk4),
         tolerance(Method::plain(Integrator::Dop853), 1e-9),
-        tolerance(Method::compensated(Integrator::Dop853), 1e-16),
+        tolerance(Method::compensated(Integrator::Dop853), 1e-17),
     ];
     let last = if small { 90 } else { 913_125 };
     let curve = |(method, setting, name): (Method, Setting, String)| {

@@ -8,7 +8,7 @@ use std::error::Error;
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
-use pointmass::{Advance, Drag, Forces, Integrator, Particle, Settings, Tolerance, World};
+use pointmass::{Advance, Drag, Forces, Integrator, Particle, Settings, World};
 
 use crate::chart::{draw_origin, power_of_ten};
 use crate::colours::{BLUE, RED};
@@ -125,9 +125,7 @@ fn behaviour(brake: Brake, integrator: Integrator, step: f64) -> Behaviour {
     };
     let damping = if brake == Brake::Damping { (-1.0_f64).exp() } else { 1.0 };
     let forces = Forces { drag, gravitation: None };
-    let tolerance = Tolerance { absolute: 1e-9, relative: 1e-6 };
-    let mut world =
-        World::<f64>::new(Settings { integrator, forces, tolerance, ..Settings::default() }).expect("it serves them");
+    let mut world = World::<f64>::new(Settings { integrator, forces, ..Settings::default() }).expect("it serves them");
     let id = world
         .create(Particle { velocity: [1.0, 0.0, 0.0].into(), damping, ..Particle::default() })
         .expect("a valid particle");
