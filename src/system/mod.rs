@@ -240,6 +240,8 @@ struct Field<'a, R> {
     stride: usize,
     /// a + w F.
     acceleration: Vec<R>,
+    /// Whether it is not 0 for all.
+    falls: bool,
     /// k₁ w, and with it λ where damping is part of the differential equation; empty when it is 0 for all.
     linear: Vec<R>,
     /// k₂ w; empty when it is 0 for all.
@@ -271,6 +273,7 @@ impl<'a, R: Real> Field<'a, R> {
             len,
             stride: stride::<R>(len),
             acceleration: to_columns(&laws.acceleration),
+            falls: laws.acceleration.iter().any(|a| *a != [R::ZERO; 3]),
             linear: column(&|i| k(0, i) + damped(i)),
             quadratic: column(&|i| k(1, i)),
             attraction: laws.gravitation.as_ref().map(Attraction::new),
@@ -294,11 +297,13 @@ impl<'a, R: Real> Field<'a, R> {
     fn accelerate(&mut self, p: &[R], v: &[R], into: &mut [R]) {
         if self.attraction.is_some() {
             self.attract(p, into);
+            if self.falls {
+                dispatch!(self.level, simd => add(simd, into, &self.acceleration));
+            }
         } else {
             self.evaluations += 1;
-            into.fill(R::ZERO);
+            into.copy_from_slice(&self.acceleration);
         }
-        add(into, &self.acceleration);
         if !self.linear.is_empty() || !self.quadratic.is_empty() {
             let (linear, quadratic) = (self.linear.as_slice(), self.quadratic.as_slice());
             dispatch!(self.level, simd => resist(simd, self.stride, linear, quadratic, v, into));
@@ -306,7 +311,8 @@ impl<'a, R: Real> Field<'a, R> {
     }
 }
 
-fn add<R: Real>(to: &mut [R], other: &[R]) {
+#[inline(always)]
+fn add<S: Simd, R: Real>(_: S, to: &mut [R], other: &[R]) {
     to.iter_mut().zip(other).for_each(|(x, y)| *x = *y + *x);
 }
 
