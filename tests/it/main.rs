@@ -35,5 +35,7 @@ mod refusals;
 mod service;
 /// What a scene does not need is not done, and leaves no trace in its bits.
 mod skips;
+/// Scenes that break the methods of the textbook, and the tolerances of docs/stability.md.
+mod stability;
 /// The tree itself.
 mod tidy;
