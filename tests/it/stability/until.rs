@@ -175,3 +175,47 @@ fn until_in_the_plane() {
     each::<f64>();
     check_every_row("until_in_the_plane");
 }
+
+/// The last step, up to the plane, is one like any other: the world ends where one does that takes it on its own.
+#[test]
+fn until_is_a_step() {
+    let (mut worst, mut straight): (f64, f64) = (0.0, f64::INFINITY);
+    let stepped = Integrator::ALL.into_iter().filter(|i| i.serves_forces() && *i != Integrator::Dop853);
+    for (integrator, seed) in stepped.flat_map(|integrator| (1..=10).map(move |seed| (integrator, seed))) {
+        let mut random = Random(seed);
+        let drag = Some(Drag { k1: 0.1, k2: 0.02 });
+        let forces = Forces { drag, gravitation: Some(Gravitation { constant: 300.0, softening: 0.5 }) };
+        let (start, toward): ([f64; 3], [f64; 3]) = (random.vector::<f64>(5.0), random.vector::<f64>(20.0));
+        let particle =
+            Particle { position: start.into(), velocity: toward.into(), damping: 0.5, ..Particle::default() };
+        let other = Particle { position: [4.0, -3.0, 2.0].into(), ..Particle::default() };
+        let mut told = world(Settings { forces, ..falling(integrator) }, &[particle, other]);
+        let mut alone = told.clone();
+        let h = 1.0 / 16.0;
+        let plane = Plane { normal: toward, offset: dot(toward, start) + 0.15 * dot(toward, toward) };
+        let until = Some(Until { particle: ParticleId(0), plane });
+        let report = told.advance(Advance { until, max_step: Some(h), ..Advance::by(2.0) }).expect("finite");
+        if report.crossed == Some(false) || report.steps < 2 {
+            continue;
+        }
+        let whole = report.steps - 1;
+        alone.advance(in_steps(h * whole as f64, whole)).expect("finite");
+        let before = position(&alone, 0);
+        let rest = report.duration - h * whole as f64;
+        let mut further = alone.clone();
+        alone.advance(in_steps(rest, 1)).expect("finite");
+        further.advance(in_steps(h, 1)).expect("finite");
+        worst = worst.max(norm(minus(position(&told, 0), position(&alone, 0))));
+        worst = worst.max(norm(minus(velocity(&told, 0), velocity(&alone, 0))));
+        // A straight line between the ends of the step, cut by the plane.
+        let after = position(&further, 0);
+        let [from, to] = [before, after].map(|x| dot(toward, x) - plane.offset);
+        let line: [f64; 3] = std::array::from_fn(|k| before[k] + (after[k] - before[k]) * from / (from - to));
+        // A step of Euler's kind is one.
+        if !integrator.is_euler() {
+            straight = straight.min(norm(minus(line, position(&told, 0))));
+        }
+    }
+    check_claim("until_is_a_step", "double", straight, worst);
+    check_every_row("until_is_a_step");
+}
