@@ -8,6 +8,7 @@
 use fearless_simd::{Simd, SimdBase, dispatch};
 
 use crate::command::Tolerance;
+use crate::double_double::DoubleDouble;
 use crate::real::Real;
 use crate::system::runge_kutta::{RungeKutta, Weights, sums, weights};
 use crate::system::{Field, Scheme, State, System, Turn, come_to_rest, dop853, norm};
@@ -20,7 +21,7 @@ pub(crate) struct Adaptive<R> {
     max_step: f64,
     steps_max: u64,
     /// How far it is, in seconds.
-    reached: f64,
+    reached: DoubleDouble,
     /// The length of the next attempt.
     next: Option<f64>,
     steps: u64,
@@ -50,13 +51,13 @@ struct Estimate<R> {
 
 impl<R: Real> Adaptive<R> {
     pub(crate) fn new(tolerance: Tolerance, duration: f64, max_step: Option<f64>, steps_max: u64) -> Self {
-        let relative = tolerance.relative.max(R::ROUND_OFF / 16.0);
+        let relative = tolerance.relative.max(0.25 * R::ROUND_OFF);
         Self {
             tolerance: Tolerance { relative, ..tolerance },
             duration,
             max_step: max_step.map_or(duration, |max_step| max_step.min(duration)),
             steps_max,
-            reached: 0.0,
+            reached: DoubleDouble::default(),
             next: None,
             steps: 0,
             rejected: 0,
@@ -69,7 +70,7 @@ impl<R: Real> Adaptive<R> {
     }
 
     pub(crate) fn is_done(&self) -> bool {
-        self.reached >= self.duration
+        self.reached.hi >= self.duration
     }
 
     /// Steps taken.
@@ -96,14 +97,14 @@ impl<R: Real> Adaptive<R> {
             if field.is_cancelled() {
                 return Err(Stop::Cancelled);
             }
-            let left = self.duration - self.reached;
+            let left = (DoubleDouble::from(self.duration) - self.reached).hi;
             let is_last = 1.01 * h >= left;
             if is_last {
                 h = left;
             }
-            let too_short = self.reached + h <= self.reached || R::nearest(h) == R::ZERO;
+            let too_short = self.reached.hi + h <= self.reached.hi || R::nearest(h) == R::ZERO;
             if too_short || self.steps + self.rejected >= self.steps_max {
-                return Err(Stop::TooManySteps { steps: self.steps + self.rejected, reached: self.reached });
+                return Err(Stop::TooManySteps { steps: self.steps + self.rejected, reached: self.reached.hi });
             }
             let rounded = R::nearest(h);
             method.attempt(field, rounded, state);
@@ -113,7 +114,9 @@ impl<R: Real> Adaptive<R> {
             if error <= 1.0 {
                 method.finish(field, rounded, state);
                 self.steps += 1;
-                self.reached = if is_last { self.duration } else { self.reached + h };
+                // The step is as long as the precision of the world can say.
+                let on = DoubleDouble::from(rounded.into());
+                self.reached = if is_last { DoubleDouble::from(self.duration) } else { self.reached + on };
                 self.next = Some((h * factor).min(self.max_step));
                 let turn = Turn { step: self.steps, last: is_last };
                 if system.rests && turn.is_due() {

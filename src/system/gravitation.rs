@@ -40,7 +40,7 @@ struct Sources<'a, R> {
     places: [&'a [R]; 3],
     strength: &'a [R],
     softening: R,
-    /// Pairs nearer than this, in metres squared, are computed one by one.
+    /// Pairs nearer than this, in metres squared, are computed one by one; not a number where all of them are.
     near: R,
 }
 
@@ -75,7 +75,7 @@ impl<R: Real> Attraction<R> {
         let places = if self.attracting.is_some() { self.places.each_ref().map(Vec::as_slice) } else { every };
         // Where squares could overflow, every pair is computed on its own.
         let far = dispatch!(level, simd => any_far(simd, p)) || self.softening >= R::FAR;
-        let near = if far { R::nearest(f64::INFINITY) } else { R::NEAR };
+        let near = if far { R::nearest(f64::NAN) } else { R::NEAR };
         let sources = Sources { places, strength: &self.strength, softening: self.softening, near };
         let (x, rest) = into.split_at_mut(stride);
         let (y, z) = rest.split_at_mut(stride);
@@ -148,17 +148,17 @@ fn group<S: Simd, R: Real, const N: usize>(
             for n in 0..N {
                 let mut d = [source[0] - target[0][n], source[1] - target[1][n], source[2] - target[2][n]];
                 let square = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) + softening;
-                let is_near = square.simd_lt(near);
+                let is_ordinary = square.simd_ge(near);
                 let mut inverse = one / square.sqrt();
-                if is_near.any_true() {
+                if !is_ordinary.all_true() {
                     let apart = d[0].abs() + d[1].abs() + d[2].abs();
-                    inverse = is_near.select(zero, inverse);
+                    inverse = is_ordinary.select(inverse, zero);
                     for d in &mut d {
-                        *d = is_near.select(zero, *d);
+                        *d = is_ordinary.select(*d, zero);
                     }
                     let place = [target[0][n], target[1][n], target[2][n]];
                     // Mostly it is a particle and itself.
-                    if (is_near & !apart.simd_eq(zero)).any_true() {
+                    if !(is_ordinary | apart.simd_eq(zero)).all_true() {
                         let alone = one_by_one::<S, R>(simd, sources, [*x, *y, *z], *strength, place, square);
                         for k in 0..3 {
                             sum[k][n] = sum[k][n] + alone[k];
@@ -208,7 +208,8 @@ fn one_by_one<S: Simd, R: Real>(
     let (target, square) = (target.map(store), store(square));
     let mut alone = [[R::ZERO; LANES_MAX]; 3];
     for lane in 0..lanes {
-        if square[lane] < sources.near {
+        let is_ordinary = square[lane] >= sources.near;
+        if !is_ordinary {
             let place = [target[0][lane], target[1][lane], target[2][lane]];
             let pull = pull(source, strength, place, sources.softening);
             (0..3).for_each(|k| alone[k][lane] = pull[k]);

@@ -35,6 +35,8 @@ use verlet::Verlet;
 pub(crate) struct Laws<R> {
     /// a + w F in m/s².
     pub(crate) acceleration: Vec<[R; 3]>,
+    /// The same in double, for `velocity_verlet`, whose flow is computed in double.
+    pub(crate) driving: Vec<[f64; 3]>,
     /// The share of the velocity that is kept each second.
     pub(crate) damping: Vec<R>,
     /// D over one step, for the integrators of Euler's kind.

@@ -19,6 +19,8 @@ pub(super) struct Verlet<R> {
     decays: Vec<Decay>,
     /// κ₂ of each; empty when it is 0 for all.
     quadratic: Vec<f64>,
+    /// a + w F.
+    acceleration: Vec<f64>,
     /// The length of the steps that the forms are for.
     of: Option<f64>,
     forms: Forms,
@@ -52,9 +54,15 @@ impl<R: Real> Verlet<R> {
         };
         let decays = laws.damping.iter().enumerate().map(&mut decay).collect();
         let quadratic: Vec<f64> = laws.drag.iter().map(|k| k[1].into()).collect();
+        let stride = stride::<R>(laws.driving.len());
+        let mut accelerations = vec![0.0; 3 * stride];
+        for (i, a) in laws.driving.iter().enumerate() {
+            (0..3).for_each(|axis| accelerations[axis * stride + i] = a[axis]);
+        }
         let has_quadratic = quadratic.iter().any(|k| *k > 0.0);
         Self {
             decays,
+            acceleration: accelerations,
             quadratic: if has_quadratic { quadratic } else { Vec::new() },
             of: None,
             forms: Forms::default(),
@@ -130,7 +138,7 @@ impl<R: Real> Verlet<R> {
                 let at = |columns: &[R], axis: usize| columns[axis * field.stride + row];
                 let before = std::array::from_fn(|axis| at(&state.v, axis).into());
                 let (first, v) = slow_down(self.halves[row], *k2, before);
-                let kicked = std::array::from_fn(|axis| v[axis] + at(&field.acceleration, axis).into() * h);
+                let kicked = std::array::from_fn(|axis| v[axis] + self.acceleration[axis * field.stride + row] * h);
                 let (second, after) = slow_down(self.halves[row], *k2, kicked);
                 let end = Split {
                     p: std::array::from_fn(|axis| at(&state.p, axis)),
@@ -151,9 +159,9 @@ impl<R: Real> Verlet<R> {
         let stride = field.stride.max(1);
         let Forms { kept, phi, psi, .. } = &self.forms;
         let columns = state.p.chunks_exact_mut(stride).zip(state.v.chunks_exact_mut(stride));
-        for ((p, v), a) in columns.zip(field.acceleration.chunks_exact(stride)) {
+        for ((p, v), a) in columns.zip(self.acceleration.chunks_exact(stride)) {
             for (i, ((p, v), a)) in p.iter_mut().zip(v).zip(a).enumerate() {
-                let (speed, a): (f64, f64) = ((*v).into(), (*a).into());
+                let speed: f64 = (*v).into();
                 *p = R::nearest((*p).into() + (speed * phi[i] + a * psi[i]));
                 *v = R::nearest(speed * kept[i] + a * phi[i]);
             }
@@ -166,8 +174,8 @@ impl<R: Real> Verlet<R> {
         let Forms { phi, psi, lost, .. } = &self.forms;
         for i in 0..state.p.len() {
             let row = i % stride;
-            let (speed, a): (f64, f64) = (state.v[i].into(), field.acceleration[i].into());
-            let more: f64 = state.lost_v[i].into();
+            let (speed, more): (f64, f64) = (state.v[i].into(), state.lost_v[i].into());
+            let a = self.acceleration[i];
             let drift = speed * phi[row] + (more * phi[row] + a * psi[row]);
             let gain = (a * phi[row] - speed * lost[row]) - more * lost[row];
             add_compensated(&mut state.p[i], &mut state.lost_p[i], R::nearest(drift));

@@ -84,8 +84,10 @@ impl<R: Real> World<R> {
                 (particles.drag.get(row).or(forces.drag).unwrap_or_default(), particles.inverse_mass.get(row));
             [drag.k1 * w, drag.k2 * w]
         };
+        let exact = self.settings.integrator == Integrator::VelocityVerlet;
         Laws {
             acceleration,
+            driving: rows.clone().filter(|_| exact).map(|row| self.driving(row)).collect(),
             damping: rows.clone().map(|row| particles.damping.get(row)).collect(),
             factor: if self.settings.integrator.is_euler() { self.factors.of_rows(rows.clone()) } else { Vec::new() },
             drag: forces.drag.map_or_else(Vec::new, |_| rows.clone().map(drag).collect()),
@@ -184,6 +186,9 @@ impl<R: Real> World<R> {
         system.forget();
         let mut state = before.clone();
         system.step(h, turn, &mut state);
+        if self.settings.integrator.is_euler() {
+            system.set_factor(&self.factors.of_rows(0..system.len()));
+        }
         state
     }
 

@@ -85,7 +85,8 @@ impl<R: Real> World<R> {
             }
             return Ok(way);
         }
-        let alone = self.settings.forces.gravitation.is_none();
+        // Under `dop853` all take the same steps.
+        let alone = self.moves_alone();
         let mut future = if alone { self.alone(row) } else { self.clone() };
         let row = if alone { 0 } else { row };
         let (len, pairs) = (future.particles.len() as u64, future.pairs());
@@ -126,8 +127,13 @@ impl<R: Real> World<R> {
         #[expect(clippy::cast_precision_loss, reason = "an estimate")]
         let each = self.work(&Advance::by(duration / samples as f64));
         let particles = self.particles.len() as u64;
-        let alone = if self.settings.forces.gravitation.is_some() { 1 } else { particles.max(1) };
-        samples.saturating_mul(64 + each / alone)
+        let share = if self.moves_alone() { particles.max(1) } else { 1 };
+        samples.saturating_mul(64 + each / share)
+    }
+
+    /// Whether others change nothing about the steps of a particle.
+    fn moves_alone(&self) -> bool {
+        self.settings.forces.gravitation.is_none() && self.settings.integrator != Integrator::Dop853
     }
 
     /// Position and velocity of one row, a time after the clock, with the force that acts on it.

