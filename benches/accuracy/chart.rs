@@ -233,7 +233,7 @@ impl Panel {
     pub(crate) fn floor(lines: &[Line], least: f64, most: f64) -> f64 {
         let values = lines.iter().flat_map(|line| &line.points).map(|point| point.1).filter(|y| *y > 0.0);
         // Some decades, so that noise does not look like a slope.
-        let low = values.fold(1e-4 * most, f64::min).max(least);
+        let low = values.fold(1e-2 * most, f64::min).max(least);
         10_f64.powf((low.log10() - 0.1).floor())
     }
 }

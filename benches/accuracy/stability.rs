@@ -135,12 +135,12 @@ fn behaviour(brake: Brake, integrator: Integrator, step: f64) -> Behaviour {
             return Behaviour::Grows;
         }
         let after = world.particle(id).expect("it is there").velocity.x;
+        // What is left, and its sign, is within the tolerance of an adaptive integrator.
+        if after.abs() < STOPPED {
+            return if smooth { Behaviour::Decays } else { Behaviour::Oscillates };
+        }
         smooth &= after.abs() <= speed.abs() && after * speed >= 0.0;
         speed = after;
-        // What is left is below the tolerance of an adaptive integrator.
-        if speed.abs() < STOPPED {
-            break;
-        }
     }
     match (smooth, speed.abs() < 1.0) {
         (true, _) => Behaviour::Decays,
