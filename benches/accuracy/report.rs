@@ -296,8 +296,8 @@ fn about(chart: &str, results: &Results) -> String {
             ends(&|curve| curve.precision == Precision::Single)
         ),
         ENERGY => format!(
-            "A symplectic integrator keeps the energy within a band, the others drift; with compensated sums and the \
-             least tolerance what is left grows like unbiased rounding. At the end: {}.",
+            "A symplectic integrator keeps the energy within a band, the others drift: by the tolerance, and where that \
+             is the least by rounding. The guide is what unbiased rounding would do. At the end: {}.",
             ends(&|_| true)
         ),
         _ => String::new(),
