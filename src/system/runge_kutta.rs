@@ -28,8 +28,6 @@ pub(super) struct Tableau {
     pub(super) stages: &'static [Stage],
     /// Those of the end of the step.
     pub(super) end: Terms,
-    /// What rounding took from those. It is the same at every step, so that compensated sums would add it up.
-    pub(super) end_low: Terms,
 }
 
 /// The classic method of Runge and Kutta.
@@ -40,23 +38,13 @@ pub(super) const RK4: Tableau = Tableau {
         Stage { c: 1.0, terms: &[(1, 0.0, 0.5), (2, 1.0, 0.0)] },
     ],
     end: &[(0, 1.0 / 6.0, 1.0 / 6.0), (1, 1.0 / 3.0, 1.0 / 6.0), (2, 1.0 / 3.0, 1.0 / 6.0), (3, 1.0 / 6.0, 0.0)],
-    end_low: &[
-        (0, SIXTH_LOW, SIXTH_LOW),
-        (1, 2.0 * SIXTH_LOW, SIXTH_LOW),
-        (2, 2.0 * SIXTH_LOW, SIXTH_LOW),
-        (3, SIXTH_LOW, 0.0),
-    ],
 };
-
-/// 1/6 less the double nearest to it.
-const SIXTH_LOW: f64 = 9.251_858_538_542_97e-18;
 
 /// A method at work.
 #[derive(Debug)]
 pub(super) struct RungeKutta<R> {
     stages: Vec<(R, Weights<R>)>,
     end: Weights<R>,
-    end_low: Weights<R>,
     /// The accelerations of all stages, one after the other.
     pub(super) k: Vec<R>,
     /// Position and velocity of a stage.
@@ -71,20 +59,11 @@ pub(super) fn weights<R: Real>(terms: Terms) -> Weights<R> {
     terms.iter().map(|(j, v, p)| (*j, R::nearest(*v), R::nearest(*p))).collect()
 }
 
-/// The end of a step as far as it is lost when it is rounded to the precision of the world.
-fn low_weights<R: Real>(tableau: &Tableau) -> Weights<R> {
-    let lost = |x: f64| x - R::nearest(x).into();
-    let both = tableau.end.iter().zip(tableau.end_low);
-    both.map(|((j, v, p), (_, low_v, low_p))| (*j, R::nearest(lost(*v) + low_v), R::nearest(lost(*p) + low_p)))
-        .collect()
-}
-
 impl<R: Real> RungeKutta<R> {
     pub(super) fn new(tableau: &Tableau) -> Self {
         Self {
             stages: tableau.stages.iter().map(|stage| (R::nearest(stage.c), weights(stage.terms))).collect(),
             end: weights(tableau.end),
-            end_low: low_weights(tableau),
             k: Vec::new(),
             p: Vec::new(),
             v: Vec::new(),
@@ -132,7 +111,7 @@ impl<R: Real> RungeKutta<R> {
     /// Makes the end of the step the state.
     pub(super) fn finish(&mut self, field: &Field<'_, R>, h: R, state: &mut State<R>) {
         if state.compensated() {
-            dispatch!(field.level, simd => end_compensated(simd, h, [&self.end[..], &self.end_low[..]], &self.k, state));
+            dispatch!(field.level, simd => end_compensated(simd, h, &self.end, &self.k, state));
         } else {
             std::mem::swap(&mut state.p, &mut self.p);
             std::mem::swap(&mut state.v, &mut self.v);
@@ -190,7 +169,7 @@ pub(super) fn sums<S: Simd, R: Real>(
 /// The same end of a step, in compensated sums. So that more than the last addition profits, weights act on differences
 /// of accelerations (they add up to 1 for the velocity and ½ for the position), and products keep what they lose.
 #[inline(always)]
-fn end_compensated<S: Simd, R: Real>(simd: S, h: R, weights: [&[(usize, R, R)]; 2], k: &[R], state: &mut State<R>) {
+fn end_compensated<S: Simd, R: Real>(simd: S, h: R, weights: &[(usize, R, R)], k: &[R], state: &mut State<R>) {
     let lanes = R::Lanes::<S>::LEN;
     let len = state.p.len();
     let half = R::Lanes::<S>::splat(simd, R::HALF);
@@ -198,9 +177,9 @@ fn end_compensated<S: Simd, R: Real>(simd: S, h: R, weights: [&[(usize, R, R)]; 
     let (mut for_p, mut for_v) = ([R::ZERO; LANES_MAX], [R::ZERO; LANES_MAX]);
     while at + lanes <= len {
         let first = R::Lanes::<S>::from_slice(simd, &k[at..at + lanes]);
-        let [differences, low] = weights.map(|weights| sums::<S, R>(simd, weights, k, len, at, first));
-        (half * first + (differences.0 + low.0)).store_slice(&mut for_p[..lanes]);
-        (first + (differences.1 + low.1)).store_slice(&mut for_v[..lanes]);
+        let differences = sums::<S, R>(simd, weights, k, len, at, first);
+        (half * first + differences.0).store_slice(&mut for_p[..lanes]);
+        (first + differences.1).store_slice(&mut for_v[..lanes]);
         for lane in 0..lanes {
             let i = at + lane;
             let bend = h * for_p[lane];

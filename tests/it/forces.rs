@@ -201,7 +201,9 @@ fn a_trajectory_that_diverges_is_refused() {
             assert_eq!((answer.status, &problem["code"]), (422, &json!(code)), "{integrator}: {}", answer.text());
             assert_eq!(problem["particle"].as_u64(), (code == "diverged").then_some(1), "{integrator}: {problem}");
         }
-        client.get(&format!("{path}/particles/0/trajectory?duration=100&samples=2")).expect(200);
+        // Under `dop853` all take the same steps, so that it cannot be told without the other.
+        let other = if integrator == Integrator::Dop853 { 422 } else { 200 };
+        client.get(&format!("{path}/particles/0/trajectory?duration=100&samples=2")).expect(other);
     }
 }
 
