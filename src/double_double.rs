@@ -45,7 +45,7 @@ impl DoubleDouble {
     }
 }
 
-impl<T: Lane> DoubleDouble<T> {
+impl<T: Copy + Add<Output = T> + Sub<Output = T>> DoubleDouble<T> {
     /// `a + b` without error.
     #[inline(always)]
     pub(crate) fn sum(a: T, b: T) -> Self {
@@ -54,7 +54,9 @@ impl<T: Lane> DoubleDouble<T> {
         let lo = (a - (hi - b_rounded)) + (b - b_rounded);
         Self { hi, lo }
     }
+}
 
+impl<T: Lane> DoubleDouble<T> {
     /// `a + b` without error, for `|a| >= |b|` or `a == 0`.
     #[inline(always)]
     fn ordered_sum(a: T, b: T) -> Self {

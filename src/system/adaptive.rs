@@ -73,6 +73,11 @@ impl<R: Real> Adaptive<R> {
         self.reached.hi >= self.duration
     }
 
+    /// How far it is, in seconds.
+    pub(crate) fn reached(&self) -> f64 {
+        self.reached.hi
+    }
+
     /// Steps taken.
     pub(crate) fn steps(&self) -> u64 {
         self.steps

@@ -3,7 +3,7 @@
 //! The attracted particles are lanes of a register, those that attract follow one after the other: so each sum has one order,
 //! whatever the registers and threads. Square root and quotient are rounded correctly on every CPU, unlike the
 //! approximations of 1/√x that some have. Sums run over blocks of sources, and what the sum of blocks loses is kept, so
-//! that a sum of 10⁵ singles is as good as one of a hundred.
+//! that a sum of 10⁴ singles is as good as one of a hundred.
 //!
 //! A tree for worlds where n² is too much belongs beside this file, behind `Attraction`.
 
@@ -13,6 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
 
+use crate::double_double::DoubleDouble;
 use crate::real::Real;
 use crate::system::{LANES_MAX, Masses, stride};
 use crate::threads::Threads;
@@ -174,10 +175,9 @@ fn group<S: Simd, R: Real, const N: usize>(
         }
         for k in 0..3 {
             for n in 0..N {
-                let new = total[k][n] + sum[k][n];
-                let rounded = new - total[k][n];
-                lost[k][n] = lost[k][n] + ((total[k][n] - (new - rounded)) + (sum[k][n] - rounded));
-                total[k][n] = new;
+                let DoubleDouble { hi, lo } = DoubleDouble::sum(total[k][n], sum[k][n]);
+                total[k][n] = hi;
+                lost[k][n] = lost[k][n] + lo;
             }
         }
     }

@@ -20,6 +20,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use fearless_simd::{Level, Simd, dispatch};
 
 use crate::closed_form::Decay;
+use crate::double_double::DoubleDouble;
 use crate::integrator::Integrator;
 use crate::kernel::STEPS_BETWEEN_RESTS;
 use crate::real::Real;
@@ -290,7 +291,7 @@ impl<'a, R: Real> Field<'a, R> {
 
     /// The acceleration by gravitation alone.
     fn attract(&mut self, p: &[R], into: &mut [R]) {
-        let Some(attraction) = &mut self.attraction else { return into.fill(R::ZERO) };
+        let attraction = self.attraction.as_mut().expect("asked for only where there is gravitation");
         self.evaluations += 1;
         attraction.evaluate(self.level, self.threads, self.cancelled, p, into);
     }
@@ -338,14 +339,10 @@ fn resist<S: Simd, R: Real>(_: S, stride: usize, linear: &[R], quadratic: &[R], 
     }
 }
 
-/// Adds to a sum that keeps what rounding takes from it (Kahan and Babuška; the sum without error is Knuth's).
+/// Adds to a sum that keeps what rounding takes from it (Kahan and Babuška).
 #[inline(always)]
 fn add_compensated<R: Real>(sum: &mut R, lost: &mut R, more: R) {
-    let more = more + *lost;
-    let new = *sum + more;
-    let rounded = new - *sum;
-    *lost = (*sum - (new - rounded)) + (more - rounded);
-    *sum = new;
+    DoubleDouble { hi: *sum, lo: *lost } = DoubleDouble::sum(*sum, more + *lost);
 }
 
 /// |x|, also where its square overflows.

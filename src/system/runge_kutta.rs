@@ -8,6 +8,7 @@
 
 use fearless_simd::{Simd, SimdBase, dispatch};
 
+use crate::double_double::DoubleDouble;
 use crate::real::Real;
 use crate::system::{Field, LANES_MAX, State, add_compensated};
 
@@ -183,9 +184,7 @@ fn end_compensated<S: Simd, R: Real>(simd: S, h: R, weights: &[(usize, R, R)], k
         for lane in 0..lanes {
             let i = at + lane;
             let bend = h * for_p[lane];
-            let mean = state.v[i] + bend;
-            let rounded = mean - state.v[i];
-            let lost = (state.v[i] - (mean - rounded)) + (bend - rounded);
+            let DoubleDouble { hi: mean, lo: lost } = DoubleDouble::sum(state.v[i], bend);
             let drift = h * mean;
             state.lost_p[i] = state.lost_p[i] + (R::lost_in_product(h, mean) + h * (lost + state.lost_v[i]));
             add_compensated(&mut state.p[i], &mut state.lost_p[i], drift);

@@ -86,14 +86,11 @@ impl<R: Real> Verlet<R> {
             }
             kick(&self.attraction, half, state);
         }
-        let split = self.split_rows(field, h, state);
+        self.flow_split(field, h, state);
         if state.compensated() {
             self.flow_compensated(field, state);
         } else {
             self.flow(field, state);
-        }
-        for (row, change) in split {
-            change.apply(row, field.stride, state);
         }
         if field.attraction.is_some() {
             field.attract(&state.p, &mut self.attraction);
@@ -119,7 +116,10 @@ impl<R: Real> Verlet<R> {
                 Some(_) | None => (decay.over(h), decay.over(0.5 * h)),
             };
             last = Some((*decay, form, half));
-            let rate = decay.rate();
+            // Those with quadratic drag have a flow of their own, and this one leaves them as they are.
+            let is_split = self.quadratic.get(i).is_some_and(|k2| *k2 > 0.0);
+            let form = if is_split { ClosedForm::STILL } else { form };
+            let rate = if is_split { 0.0 } else { decay.rate() };
             self.forms.kept[i] = form.kept;
             self.forms.phi[i] = form.phi;
             self.forms.psi[i] = form.psi;
@@ -130,28 +130,26 @@ impl<R: Real> Verlet<R> {
         }
     }
 
-    /// Where particles with quadratic drag get to.
-    fn split_rows(&self, field: &Field<'_, R>, h: f64, state: &State<R>) -> Vec<(usize, Split<R>)> {
-        let slowed = self.quadratic.iter().enumerate().filter(|(_, k2)| **k2 > 0.0);
-        slowed
-            .map(|(row, k2)| {
-                let at = |columns: &[R], axis: usize| columns[axis * field.stride + row];
-                let before = std::array::from_fn(|axis| at(&state.v, axis).into());
-                let (first, v) = slow_down(self.halves[row], *k2, before);
-                let kicked = std::array::from_fn(|axis| v[axis] + self.acceleration[axis * field.stride + row] * h);
-                let (second, after) = slow_down(self.halves[row], *k2, kicked);
-                let end = Split {
-                    p: std::array::from_fn(|axis| at(&state.p, axis)),
-                    v: std::array::from_fn(|axis| at(&state.v, axis)),
-                    drift: std::array::from_fn(|axis| first[axis] + second[axis]),
-                    after,
-                    lost: state
-                        .compensated()
-                        .then(|| [&state.lost_p, &state.lost_v].map(|lost| std::array::from_fn(|axis| at(lost, axis)))),
-                };
-                (row, end)
-            })
-            .collect()
+    /// The whole step of particles with quadratic drag: half the flow of damping and drag, the kick, the other half.
+    fn flow_split(&self, field: &Field<'_, R>, h: f64, state: &mut State<R>) {
+        for (row, k2) in self.quadratic.iter().enumerate().filter(|(_, k2)| **k2 > 0.0) {
+            let at = [0, 1, 2].map(|axis| axis * field.stride + row);
+            let before = at.map(|i| state.v[i].into());
+            let (first, v) = slow_down(self.halves[row], *k2, before);
+            let kicked = std::array::from_fn(|axis| v[axis] + self.acceleration[at[axis]] * h);
+            let (second, after) = slow_down(self.halves[row], *k2, kicked);
+            for (axis, i) in at.into_iter().enumerate() {
+                let way = first[axis] + second[axis];
+                if state.compensated() {
+                    let gain = R::nearest(after[axis] - before[axis]);
+                    add_compensated(&mut state.p[i], &mut state.lost_p[i], R::nearest(way));
+                    add_compensated(&mut state.v[i], &mut state.lost_v[i], gain);
+                } else {
+                    state.p[i] = R::nearest(state.p[i].into() + way);
+                    state.v[i] = R::nearest(after[axis]);
+                }
+            }
+        }
     }
 
     /// v ← v E + A φ, p ← p + (v φ + A ψ), rounded once.
@@ -180,34 +178,6 @@ impl<R: Real> Verlet<R> {
             let gain = (a * phi[row] - speed * lost[row]) - more * lost[row];
             add_compensated(&mut state.p[i], &mut state.lost_p[i], R::nearest(drift));
             add_compensated(&mut state.v[i], &mut state.lost_v[i], R::nearest(gain));
-        }
-    }
-}
-
-/// The end of a step of a particle with quadratic drag.
-struct Split<R> {
-    /// Where and how fast it was.
-    p: [R; 3],
-    v: [R; 3],
-    drift: [f64; 3],
-    after: [f64; 3],
-    lost: Option<[[R; 3]; 2]>,
-}
-
-impl<R: Real> Split<R> {
-    fn apply(&self, row: usize, stride: usize, state: &mut State<R>) {
-        for axis in 0..3 {
-            let at = axis * stride + row;
-            if let Some([lost_p, lost_v]) = self.lost {
-                (state.p[at], state.v[at]) = (self.p[axis], self.v[axis]);
-                (state.lost_p[at], state.lost_v[at]) = (lost_p[axis], lost_v[axis]);
-                let gain = self.after[axis] - self.v[axis].into();
-                add_compensated(&mut state.p[at], &mut state.lost_p[at], R::nearest(self.drift[axis]));
-                add_compensated(&mut state.v[at], &mut state.lost_v[at], R::nearest(gain));
-            } else {
-                state.p[at] = R::nearest(self.p[axis].into() + self.drift[axis]);
-                state.v[at] = R::nearest(self.after[axis]);
-            }
         }
     }
 }

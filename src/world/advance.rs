@@ -311,6 +311,16 @@ impl<R: Real> World<R> {
         }
     }
 
+    /// The smallest id of a particle that did not stay finite, its row and what of it, among all rows as they ended.
+    pub(super) fn diverged(
+        &self,
+        ended: impl Iterator<Item = ([R; 3], [R; 3])>,
+    ) -> Option<(ParticleId, usize, Quantity)> {
+        let diverged =
+            ended.enumerate().filter_map(|(row, (p, v))| Some((self.ids.id(row), row, kernel::non_finite(&p, &v)?)));
+        diverged.min_by_key(|(id, _, _)| *id)
+    }
+
     /// The smallest id of a particle that did not stay finite, with its first step, found by stepping it again.
     fn first_divergence(
         &self,
@@ -319,9 +329,8 @@ impl<R: Real> World<R> {
         before: &(Vec<[R; 3]>, Vec<[R; 3]>),
         cancelled: &AtomicBool,
     ) -> Result<(), Error> {
-        let ended = self.particles.position.iter().zip(&self.particles.velocity).enumerate();
-        let diverged = ended.filter(|(_, (p, v))| kernel::non_finite(*p, *v).is_some());
-        let Some((particle, row)) = diverged.map(|(row, _)| (self.ids.id(row), row)).min() else { return Ok(()) };
+        let ended = self.particles.position.iter().copied().zip(self.particles.velocity.iter().copied());
+        let Some((particle, row, _)) = self.diverged(ended) else { return Ok(()) };
         let (mut p, mut v) = (before.0[row], before.1[row]);
         let mut scratch = Scratch::default();
         let drive = self.drive(row..row + 1, &mut scratch);
@@ -352,7 +361,7 @@ impl<R: Real> World<R> {
         unreachable!("the same steps end the same way, and what is not finite once stays so")
     }
 
-    /// The same, which stops where a particle reaches a plane.
+    /// An advance under the closed form, which stops where a particle reaches a plane.
     fn flow_until(&mut self, plan: StepPlan, until: Option<Until>, cancelled: &AtomicBool) -> Result<Done, Error> {
         let reached = until.map(|until| self.time_to_plane(&until, plan.duration));
         let duration = reached.flatten().unwrap_or(plan.duration);

@@ -74,7 +74,7 @@ impl<R: Real> World<R> {
     }
 
     /// What moves some rows.
-    pub(super) fn laws(&self, rows: Range<usize>) -> Laws<R> {
+    fn laws(&self, rows: Range<usize>) -> Laws<R> {
         let particles = &self.particles;
         let mut acceleration = vec![[R::ZERO; 3]; rows.len()];
         particles.fill_acceleration(self.level, self.gravity(), rows.clone(), &mut acceleration);
@@ -102,7 +102,7 @@ impl<R: Real> World<R> {
         }
     }
 
-    pub(super) fn system<'a>(&'a self, rows: Range<usize>, cancelled: &'a AtomicBool) -> System<'a, R> {
+    fn system<'a>(&'a self, rows: Range<usize>, cancelled: &'a AtomicBool) -> System<'a, R> {
         System::new(self.level, &self.threads, cancelled, self.settings.integrator, &self.laws(rows))
     }
 
@@ -210,9 +210,8 @@ impl<R: Real> World<R> {
         let max_step = advance.max_step.or(self.settings.max_step);
         let mut steps = Adaptive::new(self.settings.tolerance, plan.duration, max_step, steps_max);
         let mut done = Done { crossed: watch.as_ref().map(|_| false), ..Done::planned(plan) };
-        let mut duration = 0.0;
         while !steps.is_done() {
-            let before = watch.as_ref().map(|_| state.clone());
+            let (before, from) = (watch.as_ref().map(|_| state.clone()), steps.reached());
             let h = steps.step(&mut system, &mut state).map_err(|stop| match stop {
                 Stop::Cancelled => Error::Cancelled,
                 Stop::TooManySteps { steps, reached } => {
@@ -220,11 +219,7 @@ impl<R: Real> World<R> {
                 }
             })?;
             let len = self.particles.len();
-            let diverged = (0..len).filter_map(|row| {
-                let (p, v) = state.row(row, len);
-                Some((self.ids.id(row), kernel::non_finite(&p, &v)?))
-            });
-            if let Some((particle, quantity)) = diverged.min_by_key(|(id, _)| *id) {
+            if let Some((particle, _, quantity)) = self.diverged((0..len).map(|row| state.row(row, len))) {
                 return Err(Error::Diverged { particle, quantity, step: steps.steps() });
             }
             let last = Turn { step: steps.steps(), last: true };
@@ -232,10 +227,9 @@ impl<R: Real> World<R> {
                 && let Some(h) = watch.crossing(h, before, &state, |h| self.part(&mut system, h, last, before))
             {
                 state = self.part(&mut system, h, last, before);
-                done = Done { crossed: Some(true), duration: duration + h, ..done };
+                done = Done { crossed: Some(true), duration: from + h, ..done };
                 break;
             }
-            duration += h;
         }
         state.store(p, v, lost_p, lost_v);
         let (steps, rejected_steps) = (steps.steps(), steps.rejected());
@@ -257,9 +251,8 @@ impl<R: Real> World<R> {
     /// Refuses the end of an advance that did not stay finite: the smallest id of such a particle, and its first step,
     /// found by taking all of them again.
     fn check_finite(&self, h: f64, steps: u64, columns: &Columns<R>, cancelled: &AtomicBool) -> Result<(), Error> {
-        let ended = columns[0].iter().zip(&columns[1]).enumerate();
-        let diverged = ended.filter_map(|(row, (p, v))| Some((self.ids.id(row), row, kernel::non_finite(p, v)?)));
-        let Some((particle, row, quantity)) = diverged.min_by_key(|(id, _, _)| *id) else { return Ok(()) };
+        let ended = columns[0].iter().copied().zip(columns[1].iter().copied());
+        let Some((particle, row, quantity)) = self.diverged(ended) else { return Ok(()) };
         let len = self.particles.len();
         let (rows, index) = if self.settings.forces.gravitation.is_some() { (0..len, row) } else { (row..row + 1, 0) };
         let residual = &self.particles.residual;

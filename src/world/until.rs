@@ -101,18 +101,6 @@ impl Watch {
             }
         }
         let mut from = (0.0, start);
-        // A particle that begins in the plane has to leave it first.
-        let mut early = to.0;
-        while from.1 <= 0.0 {
-            early *= 0.5;
-            if early == 0.0 {
-                return Some(to.0);
-            }
-            from = (early, distance(early));
-            if from.1 <= 0.0 {
-                to = from;
-            }
-        }
         // Regula falsi (the Illinois variant), with a bisection whenever it is slow.
         loop {
             let width = to.0 - from.0;
