@@ -18,6 +18,11 @@ pub(crate) const INTERACTIONS_MAX: &str = "interactions-max";
 pub(crate) const WORLDS_MAX: &str = "worlds-max";
 pub(crate) const BODY_BYTES_MAX: &str = "body-bytes-max";
 pub(crate) const MEMORY_BYTES_MAX: &str = "memory-bytes-max";
+pub(crate) const IN_FLIGHT_BYTES_MAX: &str = "in-flight-bytes-max";
+pub(crate) const ANSWER_BYTES_MAX: &str = "--answer-bytes-max";
+pub(crate) const DURATION_MAX: &str = "duration-max";
+pub(crate) const URI_BYTES_MAX: &str = "uri-bytes-max";
+pub(crate) const HEADER_BYTES_MAX: &str = "header-bytes-max";
 
 /// The largest body where it cannot speak of many particles.
 pub(crate) const SMALL_BODY_BYTES_MAX: usize = 1 << 20;
@@ -122,15 +127,61 @@ pub struct Config {
     /// The largest request body where it speaks of many particles: two hundred thousand of them; elsewhere 1 MiB.
     #[arg(long, value_name = "BYTES", env = "POINTMASS_BODY_BYTES_MAX", default_value_t = 64 << 20)]
     pub body_bytes_max: usize,
+    /// The most simulated seconds of one advance; by default what a clock can hold, 2^400.
+    #[arg(long, value_name = "SECONDS", env = "POINTMASS_DURATION_MAX")]
+    pub duration_max: Option<f64>,
+    /// The largest answer: position and velocity of a million particles, and half as much again.
+    #[arg(long, value_name = "BYTES", env = "POINTMASS_ANSWER_BYTES_MAX", default_value_t = 256 << 20)]
+    pub answer_bytes_max: u64,
+    /// The most memory for the bodies and answers of all requests at once; above it they are told to come back.
+    #[arg(long, value_name = "BYTES", env = "POINTMASS_IN_FLIGHT_BYTES_MAX", default_value_t = 1 << 30)]
+    pub in_flight_bytes_max: u64,
+    /// The most requests that wait for one world; further ones are told to come back.
+    #[arg(long, value_name = "N", env = "POINTMASS_WORLD_QUEUE_MAX", default_value_t = 256)]
+    pub world_queue_max: usize,
+    /// The most requests that wait for a processor, and for a place for a long advance; further ones are told to come
+    /// back.
+    #[arg(long, value_name = "N", env = "POINTMASS_QUEUE_MAX", default_value_t = 1024)]
+    pub queue_max: usize,
+    /// How long a request waits for its world, or for a place for a long advance.
+    #[arg(long, value_name = "MS", env = "POINTMASS_QUEUE_TIMEOUT_MS", default_value_t = 30_000)]
+    pub queue_timeout_ms: u64,
+    /// How long a request that is not long waits for a processor: then the service is over its capacity.
+    #[arg(long, value_name = "MS", env = "POINTMASS_SHED_AFTER_MS", default_value_t = 100)]
+    pub shed_after_ms: u64,
+    /// The most answers to changes with an Idempotency-Key that a world keeps.
+    #[arg(long, value_name = "N", env = "POINTMASS_KEYS_MAX", default_value_t = 1024)]
+    pub keys_max: usize,
+    /// How long it keeps them.
+    #[arg(long, value_name = "MS", env = "POINTMASS_KEY_LIFETIME_MS", default_value_t = 600_000)]
+    pub key_lifetime_ms: u64,
     /// The most connections at once; further ones wait to be accepted.
     #[arg(long, value_name = "N", env = "POINTMASS_CONNECTIONS_MAX", default_value_t = 1024, value_parser = positive)]
     pub connections_max: usize,
-    /// How long a request's headers may take, and how long a connection may be idle.
-    #[arg(long, value_name = "MS", env = "POINTMASS_HEADER_TIMEOUT_MS", default_value_t = 30_000)]
+    /// The same from one address beyond loopback; further ones are closed.
+    #[arg(long, value_name = "N", env = "POINTMASS_ADDRESS_CONNECTIONS_MAX", default_value_t = 64, value_parser = positive)]
+    pub address_connections_max: usize,
+    /// The most requests at once on one connection (HTTP/2).
+    #[arg(long, value_name = "N", env = "POINTMASS_STREAMS_MAX", default_value_t = 100)]
+    pub streams_max: u32,
+    /// The longest path with its parameters: a thousand ids, and room.
+    #[arg(long, value_name = "BYTES", env = "POINTMASS_URI_BYTES_MAX", default_value_t = 16 << 10)]
+    pub uri_bytes_max: usize,
+    /// The most bytes of the headers of a request.
+    #[arg(long, value_name = "BYTES", env = "POINTMASS_HEADER_BYTES_MAX", default_value_t = 16 << 10)]
+    pub header_bytes_max: usize,
+    /// How long the headers of a request may take, from their first byte.
+    #[arg(long, value_name = "MS", env = "POINTMASS_HEADER_TIMEOUT_MS", default_value_t = 5_000)]
     pub header_timeout_ms: u64,
+    /// How long a connection may be idle.
+    #[arg(long, value_name = "MS", env = "POINTMASS_IDLE_TIMEOUT_MS", default_value_t = 30_000)]
+    pub idle_timeout_ms: u64,
     /// How long a request's body may take.
     #[arg(long, value_name = "MS", env = "POINTMASS_BODY_TIMEOUT_MS", default_value_t = 30_000)]
     pub body_timeout_ms: u64,
+    /// How long a client may take nothing of its answer.
+    #[arg(long, value_name = "MS", env = "POINTMASS_WRITE_TIMEOUT_MS", default_value_t = 30_000)]
+    pub write_timeout_ms: u64,
     /// How long to finish what is in flight after SIGTERM or SIGINT.
     #[arg(long, value_name = "MS", env = "POINTMASS_DRAIN_TIMEOUT_MS", default_value_t = 60_000)]
     pub drain_timeout_ms: u64,
@@ -161,15 +212,31 @@ impl Config {
         2 * self.threads
     }
 
-    /// Threads that work is moved to from those that answer requests: one for each long advance, and some that those
-    /// never take.
+    /// How much other work may run at once in the compute pool.
+    pub(crate) fn short_places(&self) -> usize {
+        (2 * cores()).max(4)
+    }
+
+    /// Threads of the compute pool: one for each place.
     #[must_use]
     pub fn blocking_threads(&self) -> usize {
-        self.long_places() + (2 * cores()).max(4)
+        self.long_places() + self.short_places()
+    }
+
+    pub(crate) fn header_timeout(&self) -> Duration {
+        Duration::from_millis(self.header_timeout_ms)
+    }
+
+    pub(crate) fn idle_timeout(&self) -> Duration {
+        Duration::from_millis(self.idle_timeout_ms)
     }
 
     pub(crate) fn body_timeout(&self) -> Duration {
         Duration::from_millis(self.body_timeout_ms)
+    }
+
+    pub(crate) fn write_timeout(&self) -> Duration {
+        Duration::from_millis(self.write_timeout_ms)
     }
 }
 

@@ -1,19 +1,21 @@
 //! What every handler takes from a request, in the order in which a request can be refused.
 
 use std::sync::Arc;
-use std::time::Duration;
 
 use axum::body::{Body, Bytes};
 use axum::extract::{FromRequest, FromRequestParts, Query, RawPathParams, Request};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, Uri, header};
 use http_body_util::{BodyExt, Limited};
+use hyper::body::Frame;
 use mediatype::{MediaType, MediaTypeList, ReadParams, names};
 use serde::de::DeserializeOwned;
 
 use crate::ids::ParticleId;
 use crate::server::App;
 use crate::server::config::{BODY_BYTES_MAX, PAGE_DEFAULT, PAGE_MAX, SMALL_BODY_BYTES_MAX};
+use crate::server::idempotency::Key;
+use crate::server::memory::{Charge, OBJECT_BYTES, PARSED_BYTES};
 use crate::server::problem::{Code, Problem};
 
 /// The names in the path.
@@ -47,12 +49,17 @@ pub(crate) struct Read {
 }
 
 /// A request that changes something.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Change {
     pub(crate) target: Target,
     pub(crate) preconditions: Preconditions,
+    /// That of its Idempotency-Key, told in its turn when it is none.
+    pub(crate) key: Option<Result<Key, Problem>>,
     pub(crate) body: Bytes,
     uri: Uri,
+    /// For the body, and what it is parsed into.
+    #[expect(dead_code, reason = "lives as long as the request")]
+    charge: Option<Charge>,
 }
 
 impl Read {
@@ -119,8 +126,23 @@ impl FromRequest<Arc<App>> for Change {
         let is_bulk = parts.uri.path().ends_with("/particles") || parts.uri.path().ends_with("/forces");
         let limit = state.config.body_bytes_max;
         let limit = if is_bulk { limit } else { limit.min(SMALL_BODY_BYTES_MAX) };
-        let body = read_body(&parts.headers, body, limit, state.config.body_timeout()).await?;
-        Ok(Self { target, preconditions: Preconditions::new(&parts.headers), body, uri: parts.uri })
+        let mut charge = Charge::none(&state.shared.in_flight);
+        let body =
+            tokio::time::timeout(state.config.body_timeout(), read_body(&parts.headers, body, limit, &mut charge));
+        let body = body.await.map_err(|_| {
+            let timeout = state.config.body_timeout_ms;
+            Problem::new(Code::BodyTimeout, format!("the body did not arrive within {timeout} ms"))
+        })??;
+        let objects = if is_bulk { body.iter().filter(|byte| **byte == b'{').count() as u64 } else { 0 };
+        charge.grow(objects.min(state.config.particles_max) * OBJECT_BYTES)?;
+        Ok(Self {
+            target,
+            preconditions: Preconditions::new(&parts.headers),
+            key: Key::of(&parts.method, &parts.uri, &parts.headers, &body).transpose(),
+            body,
+            uri: parts.uri,
+            charge: Some(charge),
+        })
     }
 }
 
@@ -143,21 +165,33 @@ fn canonical_id(text: &str) -> Option<ParticleId> {
     text.parse().ok().filter(|id: &u64| id.to_string() == text).map(ParticleId)
 }
 
-async fn read_body(headers: &HeaderMap, body: Body, limit: usize, timeout: Duration) -> Result<Bytes, Problem> {
+/// Reads a body within its limit, and charges it before it is there where its length is declared.
+async fn read_body(headers: &HeaderMap, body: Body, limit: usize, charge: &mut Charge) -> Result<Bytes, Problem> {
     let too_large =
         || Problem::new(Code::BodyTooLarge, format!("the body is larger than {limit} bytes (--{BODY_BYTES_MAX})"));
     let declared = headers.get(header::CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse::<usize>().ok());
     if declared.is_some_and(|length| length > limit) {
         return Err(too_large());
     }
-    match tokio::time::timeout(timeout, Limited::new(body, limit).collect()).await {
-        Err(_) => {
-            Err(Problem::new(Code::BodyTimeout, format!("the body did not arrive within {} ms", timeout.as_millis())))
+    charge.grow(declared.unwrap_or(0) as u64 * PARSED_BYTES)?;
+    let mut body = Limited::new(body, limit);
+    let mut parts = Vec::new();
+    while let Some(frame) = body.frame().await {
+        match frame.map(Frame::into_data) {
+            Ok(Ok(data)) => {
+                charge.grow(if declared.is_none() { data.len() as u64 * PARSED_BYTES } else { 0 })?;
+                parts.push(data);
+            }
+            // Trailers say nothing here.
+            Ok(Err(_)) => {}
+            Err(error) if error.is::<http_body_util::LengthLimitError>() => return Err(too_large()),
+            Err(_) => return Err(Problem::new(Code::MalformedJson, "the body was cut short")),
         }
-        Ok(Ok(body)) => Ok(body.to_bytes()),
-        Ok(Err(error)) if error.is::<http_body_util::LengthLimitError>() => Err(too_large()),
-        Ok(Err(_)) => Err(Problem::new(Code::MalformedJson, "the body was cut short")),
     }
+    Ok(match parts.len() {
+        1 => parts.swap_remove(0),
+        _ => parts.concat().into(),
+    })
 }
 
 /// A JSON body may say so, say nothing, or come from a plain `curl -d`.

@@ -7,6 +7,7 @@ use std::hash::{BuildHasher, Hasher};
 use std::net::{IpAddr, Ipv6Addr};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
 
 use axum::extract::{MatchedPath, Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Version, header};
@@ -17,35 +18,87 @@ use subtle::ConstantTimeEq;
 use tower_http::cors::{AllowHeaders, Any, CorsLayer};
 
 use crate::server::App;
-use crate::server::config::Config;
+use crate::server::config::{Config, HEADER_BYTES_MAX, URI_BYTES_MAX};
 use crate::server::problem::{Code, Problem};
 
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+const TRACEPARENT: HeaderName = HeaderName::from_static("traceparent");
+/// The target of the log lines of requests, one for each.
+pub(crate) const ACCESS: &str = "pointmass::access";
 /// Longer ids of clients are replaced: they are copied into answers and logs.
 const REQUEST_ID_BYTES_MAX: usize = 128;
 
 /// One layer for all of it: each layer costs every request about half a microsecond.
 pub(crate) async fn front(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
+    let began = Instant::now();
     let id = match request.headers().get(REQUEST_ID) {
         Some(id) if (1..=REQUEST_ID_BYTES_MAX).contains(&id.len()) => id.clone(),
         Some(_) | None => app.request_ids.next(),
     };
     let method = request.method().clone();
+    let uri = request.uri().clone();
+    let trace = request.headers().get(TRACEPARENT).cloned();
     let route = request.extensions().get::<MatchedPath>().cloned();
-    tracing::debug!(request_id = ?id, %method, path = request.uri().path(), "request");
     let _in_flight = app.in_flight.enter();
-    let mut response = match admit(&app, &request, route.as_ref()) {
+    let admitted = check_head(&app.config, &request).and_then(|()| admit(&app, &request, route.as_ref()));
+    let mut response = match admitted {
         Ok(()) => next.run(request).await,
         Err(problem) => problem.into_response(),
     };
-    let route = route.as_ref().map_or("none", MatchedPath::as_str);
-    if response.status().is_server_error() && response.status() != StatusCode::SERVICE_UNAVAILABLE {
-        tracing::error!(request_id = ?id, %method, route, status = response.status().as_u16(), "defect");
+    let status = response.status();
+    let route = route.as_ref().map(MatchedPath::as_str);
+    let duration = began.elapsed();
+    app.metrics.answered(&method, route, status, duration);
+    let (trace_id, parent_id) = trace.as_ref().and_then(trace_and_parent).unzip();
+    // No query, which may hold anything, no header and no body.
+    tracing::info!(
+        target: ACCESS,
+        request_id = ?id,
+        trace_id,
+        parent_id,
+        %method,
+        path = uri.path(),
+        route,
+        status = status.as_u16(),
+        duration_us = u64::try_from(duration.as_micros()).unwrap_or(u64::MAX),
+    );
+    if status.is_server_error() && status != StatusCode::SERVICE_UNAVAILABLE {
+        tracing::error!(request_id = ?id, trace_id, %method, route, status = status.as_u16(), "defect");
     }
-    app.metrics.answered(&method, route, response.status());
-    tracing::debug!(request_id = ?id, %method, route, status = response.status().as_u16(), "answer");
     response.headers_mut().insert(REQUEST_ID, id);
     response
+}
+
+/// The ids of a trace and of the span that asks (W3C Trace Context).
+fn trace_and_parent(header: &HeaderValue) -> Option<(&str, &str)> {
+    let mut parts = header.to_str().ok()?.split('-');
+    let (version, trace, parent, flags) = (parts.next()?, parts.next()?, parts.next()?, parts.next()?);
+    let is_hex =
+        |text: &str, length| text.len() == length && text.bytes().all(|b| matches!(b, b'0'..=b'9' | b'a'..=b'f'));
+    let is_id = |text: &str, length| is_hex(text, length) && text.bytes().any(|b| b != b'0');
+    // Later versions may have more behind the flags.
+    let is_known = is_hex(version, 2) && version != "ff" && (version != "00" || parts.next().is_none());
+    (is_known && is_id(trace, 32) && is_id(parent, 16) && is_hex(flags, 2)).then_some((trace, parent))
+}
+
+/// Refuses a path or headers that are larger than any that the service has a use for.
+fn check_head(config: &Config, request: &Request) -> Result<(), Problem> {
+    let path = request.uri().path_and_query().map_or(0, |path| path.as_str().len());
+    if path > config.uri_bytes_max {
+        let detail = format!(
+            "the path with its parameters has {path} bytes, the most is {} (--{URI_BYTES_MAX})",
+            config.uri_bytes_max
+        );
+        return Err(Problem::new(Code::UriTooLong, detail));
+    }
+    let headers = request.headers();
+    let bytes: usize = headers.iter().map(|(name, value)| name.as_str().len() + value.len()).sum();
+    if bytes > config.header_bytes_max {
+        let detail =
+            format!("the headers have {bytes} bytes, the most is {} (--{HEADER_BYTES_MAX})", config.header_bytes_max);
+        return Err(Problem::new(Code::HeadersTooLarge, detail));
+    }
+    Ok(())
 }
 
 /// How many requests have begun and not ended.
@@ -97,7 +150,7 @@ pub(crate) struct RequestIds {
 
 impl Default for RequestIds {
     fn default() -> Self {
-        Self { process: RandomState::new().build_hasher().finish(), count: AtomicU64::new(0) }
+        Self { process: random(), count: AtomicU64::new(0) }
     }
 }
 
@@ -106,6 +159,11 @@ impl RequestIds {
         let count = self.count.fetch_add(1, Ordering::Relaxed);
         HeaderValue::from_str(&format!("{:016x}-{count}", self.process)).expect("hexadecimal digits")
     }
+}
+
+/// From the keys that the standard library takes from the system.
+pub(crate) fn random() -> u64 {
+    RandomState::new().build_hasher().finish()
 }
 
 /// A panic is a defect; it costs one request.

@@ -1,14 +1,18 @@
 //! Sockets: binding, accepting, ending.
 
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::io;
+use std::net::IpAddr;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use axum::Router;
-use hyper::server::conn::http1;
-use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper::service::{Service, service_fn};
+use hyper_util::rt::{TokioExecutor, TokioIo};
+use hyper_util::server::conn::auto;
 use hyper_util::server::graceful::GracefulShutdown;
 use hyper_util::service::TowerToHyperService;
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -16,7 +20,7 @@ use tokio::net::{TcpListener, UnixListener, UnixStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio::task::JoinSet;
 
-use crate::server::early::Early;
+use crate::server::socket::{Activity, Socket};
 use crate::server::{App, Config, router};
 
 /// A socket that accepts connections.
@@ -115,13 +119,7 @@ const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 ///
 /// While it finishes, it goes on listening: new requests are told to come back, and `/readyz` says why.
 pub async fn serve(listeners: Vec<Listener>, app: Arc<App>, shutdown: impl Future<Output = ()>) {
-    let connections = Arc::new(Connections {
-        app: Arc::clone(&app),
-        router: router(&app),
-        header_timeout: Duration::from_millis(app.config.header_timeout_ms),
-        permits: Arc::new(Semaphore::new(app.config.connections_max)),
-        graceful: GracefulShutdown::new(),
-    });
+    let connections = Arc::new(Connections::new(&app));
     let (stop, stopped) = watch::channel(());
     let mut accepting = JoinSet::new();
     for listener in listeners {
@@ -150,10 +148,33 @@ pub async fn serve(listeners: Vec<Listener>, app: Arc<App>, shutdown: impl Futur
 struct Connections {
     app: Arc<App>,
     router: Router,
-    header_timeout: Duration,
-    permits: Arc<Semaphore>,
+    protocol: auto::Builder<TokioExecutor>,
+    places: Arc<Semaphore>,
+    by_address: Arc<ByAddress>,
     graceful: GracefulShutdown,
 }
+
+/// Both protocols on every socket: the first bytes tell.
+fn protocol(config: &Config) -> auto::Builder<TokioExecutor> {
+    let mut builder = auto::Builder::new(TokioExecutor::new());
+    builder.http1().max_buf_size(HTTP1_BUFFER_BYTES);
+    let header_bytes = u32::try_from(config.header_bytes_max).unwrap_or(u32::MAX);
+    builder
+        .http2()
+        .max_concurrent_streams(config.streams_max)
+        .max_header_list_size(header_bytes)
+        .initial_connection_window_size(HTTP2_WINDOW_BYTES)
+        .initial_stream_window_size(HTTP2_WINDOW_BYTES)
+        .max_send_buf_size(HTTP2_WINDOW_BYTES as usize);
+    builder
+}
+
+/// What hyper reads ahead, and the most that it takes for a request line and headers before the service sees them: more
+/// than the limits of the service, which tell what is wrong.
+const HTTP1_BUFFER_BYTES: usize = 128 << 10;
+
+/// What a connection may send ahead of being read, and what an answer on it may be ahead of the socket.
+const HTTP2_WINDOW_BYTES: u32 = 256 << 10;
 
 async fn accept(listener: Listener, connections: Arc<Connections>, mut stopped: watch::Receiver<()>) {
     loop {
@@ -175,14 +196,29 @@ async fn accept(listener: Listener, connections: Arc<Connections>, mut stopped: 
 }
 
 impl Connections {
+    fn new(app: &Arc<App>) -> Self {
+        Self {
+            app: Arc::clone(app),
+            router: router(app),
+            protocol: protocol(&app.config),
+            places: Arc::new(Semaphore::new(app.config.connections_max)),
+            by_address: Arc::default(),
+            graceful: GracefulShutdown::new(),
+        }
+    }
+
     /// Waits for a client, and for a place for it.
     async fn accept(&self, listener: &Listener) -> io::Result<()> {
         match listener {
             Listener::Tcp(listener) => {
-                let (stream, _) = listener.accept().await?;
+                let (stream, peer) = listener.accept().await?;
+                let Some(share) = self.by_address.take(peer.ip(), self.app.config.address_connections_max) else {
+                    tracing::debug!(client = %peer.ip(), "more connections than --address-connections-max");
+                    return Ok(());
+                };
                 // Answers are small; without this one could wait for the acknowledgement of the one before.
                 stream.set_nodelay(true)?;
-                self.answer(stream, self.place().await);
+                self.answer(stream, (share, self.place().await));
             }
             Listener::Unix(listener, _) => {
                 let (stream, _) = listener.accept().await?;
@@ -193,21 +229,91 @@ impl Connections {
     }
 
     async fn place(&self) -> OwnedSemaphorePermit {
-        Arc::clone(&self.permits).acquire_owned().await.expect("the semaphore is never closed")
+        Arc::clone(&self.places).acquire_owned().await.expect("the semaphore is never closed")
     }
 
-    fn answer(&self, stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, permit: OwnedSemaphorePermit) {
-        let stream = Early::new(stream, Arc::clone(&self.app));
-        let connection = http1::Builder::new()
-            .timer(TokioTimer::new())
-            .header_read_timeout(self.header_timeout)
-            .serve_connection(TokioIo::new(stream), TowerToHyperService::new(self.router.clone()));
+    /// Answers requests until the connection ends; then its places are free again.
+    fn answer(&self, stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, places: impl Send + 'static) {
+        let activity = Arc::<Activity>::default();
+        let socket = Socket::new(stream, Arc::clone(&self.app), Arc::clone(&activity));
+        let router = TowerToHyperService::new(self.router.clone());
+        let service = service_fn(move |request| {
+            let active = activity.begin();
+            let answer = router.call(request);
+            async move {
+                let answer = answer.await;
+                drop(active);
+                answer
+            }
+        });
+        let connection = self.protocol.serve_connection(TokioIo::new(socket), service).into_owned();
         let connection = self.graceful.watch(connection);
+        let open = self.app.metrics.connections.clone();
+        open.inc();
         tokio::spawn(async move {
             if let Err(error) = connection.await {
-                tracing::debug!(%error, "connection ended");
+                tracing::debug!(error, "connection ended");
             }
-            drop(permit);
+            open.dec();
+            drop(places);
         });
+    }
+}
+
+/// How many connections each address beyond loopback has.
+#[derive(Debug, Default)]
+struct ByAddress(Mutex<HashMap<IpAddr, usize>>);
+
+/// One of them; `None` for those that are not counted.
+struct Share(Option<(Arc<ByAddress>, IpAddr)>);
+
+impl ByAddress {
+    /// `None` when there are as many as may be.
+    fn take(self: &Arc<Self>, address: IpAddr, max: usize) -> Option<Share> {
+        let address = address.to_canonical();
+        if address.is_loopback() {
+            return Some(Share(None));
+        }
+        let mut counts = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let count = counts.entry(address).or_default();
+        if *count >= max {
+            return None;
+        }
+        *count += 1;
+        Some(Share(Some((Arc::clone(self), address))))
+    }
+}
+
+impl Drop for Share {
+    fn drop(&mut self) {
+        let Some((counts, address)) = &self.0 else { return };
+        let mut counts = counts.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Entry::Occupied(mut count) = counts.entry(*address) {
+            *count.get_mut() -= 1;
+            if *count.get() == 0 {
+                count.remove();
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Arc, ByAddress, IpAddr};
+
+    #[test]
+    fn an_address_has_so_many_connections_and_loopback_any() {
+        let by_address = Arc::<ByAddress>::default();
+        let take = |address: &str| by_address.take(address.parse::<IpAddr>().expect("an address"), 2);
+        let (first, second) = (take("10.0.0.1"), take("::ffff:10.0.0.1"));
+        assert!(first.is_some() && second.is_some() && take("10.0.0.1").is_none());
+        assert!(take("10.0.0.2").is_some());
+        drop(first);
+        let third = take("10.0.0.1");
+        assert!(third.is_some() && take("10.0.0.1").is_none());
+        let loopback: Vec<_> = (0..10).map(|_| take("127.0.0.1").or_else(|| take("::1"))).collect();
+        assert!(loopback.iter().all(Option::is_some));
+        drop((second, third));
+        assert!(by_address.0.lock().expect("alone").is_empty(), "nothing is kept of those that went");
     }
 }

@@ -1,9 +1,9 @@
-//! What all worlds together may hold, charged before it is allocated.
+//! Budgets of memory, charged before it is allocated: what all worlds may hold, and what requests may take meanwhile.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::server::config::MEMORY_BYTES_MAX;
+use crate::server::config::{IN_FLIGHT_BYTES_MAX, MEMORY_BYTES_MAX};
 use crate::server::problem::{Code, Problem};
 
 /// The most that a particle takes: every column per-particle, room to grow, and the copy of a long advance.
@@ -19,14 +19,26 @@ pub(crate) const ADAPTIVE_BYTES: u64 = 1024;
 /// What comparing with the closed form takes for each particle: where it was, and how fast.
 pub(crate) const COMPARED_BYTES: u64 = 48;
 
-/// The budget of a service.
+/// The longest number in JSON, with what separates it from the next.
+pub(crate) const NUMBER_BYTES: u64 = 26;
+
+/// What reading a byte of a body as JSON takes at most, the byte itself included: `1,` becomes eight bytes of a column
+/// that grows to twice its size.
+pub(crate) const PARSED_BYTES: u64 = 8;
+
+/// What an object in a body becomes: a particle with all of its properties.
+pub(crate) const OBJECT_BYTES: u64 = 256;
+
+/// A budget of bytes.
 #[derive(Debug)]
 pub(crate) struct Memory {
     limit: u64,
     used: AtomicU64,
+    /// Says that so much would be more than the limit.
+    refusal: fn(u64, u64) -> Problem,
 }
 
-/// The part of one world; given back when it is dropped.
+/// A part of a budget; given back when it is dropped.
 #[derive(Debug)]
 pub(crate) struct Charge {
     memory: Arc<Memory>,
@@ -34,8 +46,42 @@ pub(crate) struct Charge {
 }
 
 impl Memory {
-    pub(crate) fn new(limit: u64) -> Arc<Self> {
-        Arc::new(Self { limit, used: AtomicU64::new(0) })
+    /// What all worlds may hold.
+    pub(crate) fn of_worlds(limit: u64) -> Arc<Self> {
+        Arc::new(Self {
+            limit,
+            used: AtomicU64::new(0),
+            refusal: |used, limit| {
+                let detail = format!(
+                    "all worlds together would take {used} bytes, more than {limit} (--{MEMORY_BYTES_MAX}); remove particles or worlds"
+                );
+                Problem::new(Code::LimitReached, detail)
+            },
+        })
+    }
+
+    /// What the bodies and answers of all requests may take while they are in flight.
+    pub(crate) fn of_requests(limit: u64) -> Arc<Self> {
+        Arc::new(Self {
+            limit,
+            used: AtomicU64::new(0),
+            refusal: |used, limit| {
+                let detail = format!(
+                    "the requests and answers in flight would take {used} bytes, more than {limit} (--{IN_FLIGHT_BYTES_MAX}); try again later"
+                );
+                Problem::new(Code::Overloaded, detail)
+            },
+        })
+    }
+
+    pub(crate) fn used(&self) -> u64 {
+        self.used.load(Ordering::Relaxed)
+    }
+
+    /// The share of the budget that is used, from 0 to 1.
+    pub(crate) fn load(&self) -> f64 {
+        #![expect(clippy::cast_precision_loss, reason = "a share")]
+        self.used() as f64 / self.limit.max(1) as f64
     }
 }
 
@@ -53,13 +99,7 @@ impl Charge {
                 self.bytes += bytes;
                 Ok(())
             }
-            Err(used) => {
-                let detail = format!(
-                    "all worlds together would take {} bytes, more than {limit} (--{MEMORY_BYTES_MAX}); remove particles or worlds",
-                    used.saturating_add(bytes)
-                );
-                Err(Problem::new(Code::LimitReached, detail))
-            }
+            Err(used) => Err((self.memory.refusal)(used.saturating_add(bytes), limit)),
         }
     }
 
@@ -83,7 +123,7 @@ mod tests {
 
     #[test]
     fn what_is_given_back_can_be_taken_again() {
-        let memory = Memory::new(100);
+        let memory = Memory::of_worlds(100);
         let (mut a, mut b) = (Charge::none(&memory), Charge::none(&memory));
         a.grow(60).expect("within");
         assert!(b.grow(41).is_err() && b.grow(u64::MAX).is_err());

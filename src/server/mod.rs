@@ -4,19 +4,22 @@
 //! it behind [`Listener`]s.
 
 mod config;
-mod early;
 mod extract;
 mod front;
 mod healthcheck;
+mod idempotency;
 mod json;
 mod listen;
 mod memory;
 mod metrics;
 mod openapi;
 mod problem;
+mod queue;
+mod reply;
 mod routes;
 mod settings;
 mod slot;
+mod socket;
 mod wire;
 
 use std::sync::Arc;
@@ -33,7 +36,6 @@ pub use healthcheck::healthcheck;
 pub use listen::{ListenError, Listener, serve};
 
 use crate::registry::Registry;
-use crate::threads::Threads;
 use extract::Target;
 use metrics::Metrics;
 use problem::{Code, Problem};
@@ -45,12 +47,14 @@ pub struct App {
     pub(crate) config: Config,
     pub(crate) tokens: Option<Tokens>,
     pub(crate) worlds: Registry<AnySlot>,
-    pub(crate) shared: slot::Shared,
+    pub(crate) shared: Arc<slot::Shared>,
     pub(crate) metrics: Metrics,
     /// Set once the service is to end: not ready for new work.
     pub(crate) draining: AtomicBool,
     pub(crate) in_flight: front::InFlight,
     pub(crate) request_ids: front::RequestIds,
+    /// Makes names that cannot be guessed.
+    pub(crate) secret: u64,
     pub(crate) openapi: Bytes,
 }
 
@@ -71,19 +75,17 @@ impl App {
     /// # Errors
     /// When the token file cannot be read or has no token, or when the threads cannot be started.
     pub fn new(config: Config) -> Result<Arc<Self>, StartError> {
+        let description = documented_routes().to_openapi();
         Ok(Arc::new(Self {
             tokens: config.token_file.as_deref().map(Tokens::read).transpose()?,
             worlds: Registry::new(config.worlds_max),
-            shared: slot::Shared {
-                memory: memory::Memory::new(config.memory_bytes_max),
-                threads: Threads::new(config.threads).map_err(StartError::Threads)?,
-                long_places: Arc::new(tokio::sync::Semaphore::new(config.long_places())),
-            },
-            metrics: Metrics::default(),
+            shared: Arc::new(slot::Shared::new(&config).map_err(StartError::Threads)?),
+            metrics: Metrics::new(description.paths.paths.keys().cloned()),
             draining: AtomicBool::new(false),
             in_flight: front::InFlight::default(),
             request_ids: front::RequestIds::default(),
-            openapi: openapi::document(documented_routes().to_openapi()).into(),
+            secret: front::random(),
+            openapi: openapi::document(description).into(),
             config,
         }))
     }

@@ -101,6 +101,16 @@ fn complete(path: &str, method: &str, operation: &mut Operation) {
             Type::String,
         ));
     }
+    if path.starts_with("/v1/") && method != "get" {
+        parameters.push(parameter(
+            "idempotency-key",
+            ParameterIn::Header,
+            "1 to 255 bytes; the same request sent again with the same key is done once, and answered with \
+             `idempotency-replayed: true`. A world keeps the answers of its last changes with a key: `keys_max` of them, \
+             for `key_lifetime_ms` (GET /v1)",
+            Type::String,
+        ));
+    }
     if let Some(RefOr::T(body)) = &mut operation.request_body {
         let may_be_empty =
             matches!(operation.operation_id.as_deref(), Some("create_world" | "create_named_by_service"));
@@ -155,6 +165,9 @@ pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
     if path != "/healthz" {
         codes.push(Code::ShuttingDown);
     }
+    if path == "/readyz" || path.starts_with("/v1/") {
+        codes.push(Code::Overloaded);
+    }
     codes.push(Code::InvalidParameter);
     if matches!(path, "/problems/{code}" | "/docs/{asset}") {
         codes.push(Code::UnknownRoute);
@@ -176,6 +189,10 @@ pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
             Code::BodyTimeout,
             Code::RevisionMismatch,
             Code::MalformedJson,
+            Code::InvalidIdempotencyKey,
+            Code::IdempotencyKeyReused,
+            Code::IdempotencyKeyInFlight,
+            Code::LimitReached,
         ]);
     }
     if matches!(method, "post" | "put" | "patch") {
@@ -188,7 +205,7 @@ pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
     match operation {
         "create_world" | "create_named_by_service" => {
             codes.extend(serving);
-            codes.extend([Code::WorldExists, Code::LimitReached, Code::MaxStepNotPositive, Code::NegativeValue]);
+            codes.extend([Code::WorldExists, Code::MaxStepNotPositive, Code::NegativeValue]);
             codes.extend((operation == "create_world").then_some(Code::InvalidWorldName));
         }
         "configure_world" => {
@@ -198,9 +215,10 @@ pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
         "create_particles" => {
             codes.extend(masses);
             codes.extend(properties);
-            codes.extend([Code::LengthMismatch, Code::LimitReached]);
+            codes.push(Code::LengthMismatch);
         }
-        "list_particles" => codes.push(Code::UnknownParticle),
+        "list_particles" => codes.extend([Code::UnknownParticle, Code::AnswerTooLarge]),
+        "read_state" => codes.push(Code::AnswerTooLarge),
         "set_particles" => {
             codes.extend(masses);
             codes.extend(properties);
@@ -223,6 +241,7 @@ pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
             Code::ClockOutOfRange,
             Code::ComputeBudget,
             Code::LimitReached,
+            Code::AnswerTooLarge,
             Code::Diverged,
         ]),
         "advance" => codes.extend([
@@ -235,7 +254,7 @@ pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
             Code::StepsAndMaxStep,
             Code::ClockOutOfRange,
             Code::ComputeBudget,
-            Code::LimitReached,
+            Code::AnswerTooLarge,
             Code::Diverged,
         ]),
         _ => {}

@@ -30,6 +30,9 @@ pub(crate) enum Code {
     MalformedJson,
     RevisionMismatch,
     WorldExists,
+    IdempotencyKeyInFlight,
+    IdempotencyKeyReused,
+    InvalidIdempotencyKey,
     InvalidWorldName,
     InvalidField,
     UnknownField,
@@ -54,15 +57,17 @@ pub(crate) enum Code {
     IntegratorTakesNoSteps,
     NegativeValue,
     ComputeBudget,
+    AnswerTooLarge,
     LimitReached,
     Diverged,
     InternalError,
     WorldQuarantined,
+    Overloaded,
     ShuttingDown,
 }
 
 impl Code {
-    pub(crate) const ALL: [Self; 46] = [
+    pub(crate) const ALL: [Self; 51] = [
         Self::MalformedRequest,
         Self::UriTooLong,
         Self::HeadersTooLarge,
@@ -80,6 +85,9 @@ impl Code {
         Self::MalformedJson,
         Self::RevisionMismatch,
         Self::WorldExists,
+        Self::IdempotencyKeyInFlight,
+        Self::IdempotencyKeyReused,
+        Self::InvalidIdempotencyKey,
         Self::InvalidWorldName,
         Self::InvalidField,
         Self::UnknownField,
@@ -104,10 +112,12 @@ impl Code {
         Self::IntegratorTakesNoSteps,
         Self::NegativeValue,
         Self::ComputeBudget,
+        Self::AnswerTooLarge,
         Self::LimitReached,
         Self::Diverged,
         Self::InternalError,
         Self::WorldQuarantined,
+        Self::Overloaded,
         Self::ShuttingDown,
     ];
 
@@ -136,9 +146,9 @@ impl Code {
             Self::MalformedRequest => ("malformed_request", S::BAD_REQUEST, "Not HTTP",
                 "The request line or a header is not HTTP/1.1."),
             Self::UriTooLong => ("uri_too_long", S::URI_TOO_LONG, "Path too long",
-                "The path with its parameters is longer than 64 KB."),
+                "The path with its parameters is longer than --uri-bytes-max."),
             Self::HeadersTooLarge => ("headers_too_large", S::REQUEST_HEADER_FIELDS_TOO_LARGE, "Headers too large",
-                "A request has at most 100 headers, and at most 400 KB of them."),
+                "A request has at most 100 headers, and of them at most --header-bytes-max."),
             Self::HostNotAllowed => ("host_not_allowed", S::FORBIDDEN, "Host not allowed",
                 "The Host header must be a loopback name, an IP address, or a name given with --allow-host. This keeps web pages from reaching the service through a name of their own."),
             Self::CrossOrigin => ("cross_origin", S::FORBIDDEN, "Request from another origin",
@@ -167,6 +177,12 @@ impl Code {
                 "If-Match names a revision that is not the present one. Read the world again and decide anew."),
             Self::WorldExists => ("world_exists", S::CONFLICT, "The world exists",
                 "Choose another name, or delete the world first."),
+            Self::IdempotencyKeyInFlight => ("idempotency_key_in_flight", S::CONFLICT, "Still in flight",
+                "The first request with this Idempotency-Key has not ended. Ask again when it has."),
+            Self::IdempotencyKeyReused => ("idempotency_key_reused", MEANING, "Idempotency-Key of another request",
+                "This key came with another method, path, If-Match or body before. Each intent has a key of its own; what is sent again is the same to the byte."),
+            Self::InvalidIdempotencyKey => ("invalid_idempotency_key", MEANING, "Invalid Idempotency-Key",
+                "A request has one Idempotency-Key, of 1 to 255 bytes."),
             Self::InvalidWorldName => ("invalid_world_name", MEANING, "Invalid world name",
                 "A name is a letter or digit and then up to 63 letters, digits, _ or -."),
             Self::InvalidField => ("invalid_field", MEANING, "Invalid value",
@@ -214,7 +230,9 @@ impl Code {
             Self::NegativeValue => ("negative_value", MEANING, "Negative value",
                 "Coefficients of drag, the constant and the softening of gravitation, gravitational masses and tolerances are at least 0."),
             Self::ComputeBudget => ("compute_budget", MEANING, "Over the compute budget",
-                "One request may take so many steps, and so many steps x particles. Advance in several requests, or raise --steps-max or --particle-steps-max."),
+                "One request has so many simulated seconds, steps, and steps x particles or interactions. Advance in several, or raise the limit that the sentence names."),
+            Self::AnswerTooLarge => ("answer_too_large", MEANING, "Answer too large",
+                "Ask for fewer properties or particles, or raise --answer-bytes-max. The answer to a change with an Idempotency-Key is kept, and has at most 1 MiB."),
             Self::LimitReached => ("limit_reached", MEANING, "Limit reached",
                 "The service holds as many worlds, or the world as many particles, as it may. GET /v1 shows the limits."),
             Self::Diverged => ("diverged", MEANING, "The advance would diverge",
@@ -223,6 +241,8 @@ impl Code {
                 "A defect of the service. Its log has more under the x-request-id of the response."),
             Self::WorldQuarantined => ("world_quarantined", S::INTERNAL_SERVER_ERROR, "World quarantined",
                 "A defect interrupted a change of this world, so its state is not to be trusted. Delete it; other worlds are not affected."),
+            Self::Overloaded => ("overloaded", S::SERVICE_UNAVAILABLE, "Over capacity",
+                "Too many requests wait for the same thing, or this one waited too long. Nothing was changed; try again after the seconds of Retry-After."),
             Self::ShuttingDown => ("shutting_down", S::SERVICE_UNAVAILABLE, "Shutting down",
                 "The service finishes what it has begun and takes on nothing new."),
         }
@@ -438,7 +458,7 @@ impl IntoResponse for Problem {
         if self.code == Code::Unauthorized {
             response.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
         }
-        if self.code == Code::ShuttingDown {
+        if self.code.status() == StatusCode::SERVICE_UNAVAILABLE {
             response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("1"));
         }
         response

@@ -7,17 +7,21 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
-use axum::body::Body;
-use axum::http::{StatusCode, header};
-use axum::response::Response;
-use tokio::sync::{OwnedMutexGuard, OwnedSemaphorePermit, Semaphore};
+use axum::body::Bytes;
+use axum::response::{IntoResponse, Response};
+use tokio::sync::{OwnedMutexGuard, OwnedSemaphorePermit};
 
 use crate::real::Real;
-use crate::server::extract::{Preconditions, Target, etag};
+use crate::server::config::{ANSWER_BYTES_MAX, Config};
+use crate::server::extract::{Change, Read, Target};
+use crate::server::idempotency::{Answers, Attempt, ENTRY_BYTES, KEPT_ANSWER_BYTES_MAX, Key, KeyLimits};
 use crate::server::json::WireReal;
-use crate::server::memory::{Charge, Memory, PARTICLE_BYTES};
+use crate::server::memory::{Charge, Memory, NUMBER_BYTES, PARTICLE_BYTES};
 use crate::server::problem::{Code, Problem};
+use crate::server::queue::{Bounds, Places, Queue};
+use crate::server::reply::Reply;
 use crate::server::wire::Description;
 use crate::threads::Threads;
 use crate::world::World;
@@ -28,6 +32,12 @@ const INLINE_WORK: u64 = 20_000;
 
 /// Work that takes one of the places for long advances: some tens of milliseconds.
 const LONG_WORK: u64 = 1 << 25;
+
+/// The share of a budget from which the service says that it is not ready.
+const NEARLY_FULL: f64 = 0.95;
+
+/// How often a request that got a place finds its world taken by another, and gives the place back, before it gives up.
+const TURNS_MAX: usize = 8;
 
 /// Bytes of a body that are parsed on the spot: about as long.
 const INLINE_BYTES: usize = 32 << 10;
@@ -56,7 +66,10 @@ pub(crate) struct Slot<R: WireReal> {
     world: Arc<tokio::sync::Mutex<Held<R>>>,
     /// The description after the last change, for lists that must not wait for a long advance.
     description: Mutex<Description<R>>,
-    shared: Shared,
+    /// Those who wait for the lock.
+    pub(crate) queue: Queue,
+    pub(crate) answers: Answers,
+    shared: Arc<Shared>,
 }
 
 #[derive(Debug)]
@@ -70,21 +83,93 @@ pub(crate) struct Held<R: Real> {
 
 /// The right to work on a world.
 #[derive(Debug)]
-struct Turn<R: Real> {
+struct Turn<R: WireReal> {
     held: OwnedMutexGuard<Held<R>>,
-    /// Among those for long work, when this is.
+    /// In the compute pool, when the work is not done on the spot.
     place: Option<OwnedSemaphorePermit>,
     work: u64,
+    /// For the answer.
+    charge: Charge,
 }
 
 /// What all worlds of a service share.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct Shared {
+    /// What all worlds hold.
     pub(crate) memory: Arc<Memory>,
+    /// What requests and answers in flight take.
+    pub(crate) in_flight: Arc<Memory>,
     /// What large advances of all worlds share: `--threads` of them.
     pub(crate) threads: Threads,
-    /// Places for long advances.
-    pub(crate) long_places: Arc<Semaphore>,
+    /// For work in the compute pool.
+    pub(crate) short_places: Places,
+    /// For long work there.
+    pub(crate) long_places: Places,
+    answer_bytes_max: u64,
+    /// Of those who wait for one world.
+    world_queue: Bounds,
+    key_limits: KeyLimits,
+}
+
+impl Shared {
+    /// # Errors
+    /// When the threads cannot be started.
+    pub(crate) fn new(config: &Config) -> std::io::Result<Self> {
+        let patience = Duration::from_millis(config.queue_timeout_ms);
+        let places = Bounds { length: config.queue_max, patience, what: "a place for a long advance" };
+        Ok(Self {
+            memory: Memory::of_worlds(config.memory_bytes_max),
+            in_flight: Memory::of_requests(config.in_flight_bytes_max),
+            threads: Threads::new(config.threads)?,
+            short_places: Places::new(
+                config.short_places(),
+                Bounds { patience: Duration::from_millis(config.shed_after_ms), what: "a processor", ..places },
+            ),
+            long_places: Places::new(config.long_places(), places),
+            answer_bytes_max: config.answer_bytes_max,
+            world_queue: Bounds { length: config.world_queue_max, patience, what: "the world" },
+            key_limits: KeyLimits { count: config.keys_max, lifetime: Duration::from_millis(config.key_lifetime_ms) },
+        })
+    }
+
+    /// Refuses when new work would be: what stands full, and which flag says how much it may hold.
+    pub(crate) fn check_capacity(&self) -> Result<(), Problem> {
+        let full = |what: &str| Err(Problem::new(Code::Overloaded, format!("{what}; new work is refused")));
+        if self.in_flight.load() > NEARLY_FULL {
+            return full("requests in flight take nearly all of --in-flight-bytes-max");
+        }
+        if self.short_places.queue.is_full() || self.long_places.queue.is_full() {
+            return full("as many requests wait for a processor as --queue-max allows");
+        }
+        Ok(())
+    }
+
+    /// The places of work that does not run on the spot.
+    fn places(&self, work: u64) -> Option<&Places> {
+        match work {
+            ..=INLINE_WORK => None,
+            ..=LONG_WORK => Some(&self.short_places),
+            _ => Some(&self.long_places),
+        }
+    }
+
+    /// Parses a body here, or in the compute pool when it is long.
+    pub(crate) async fn parse<T: Send + 'static>(
+        &self,
+        body: Bytes,
+        parse: impl FnOnce(&[u8]) -> Result<T, Problem> + Send + 'static,
+    ) -> Result<T, Problem> {
+        if body.len() <= INLINE_BYTES {
+            return parse(&body);
+        }
+        let place = self.short_places.take().await?;
+        in_pool(move || {
+            let parsed = parse(&body);
+            drop(place);
+            parsed
+        })
+        .await
+    }
 }
 
 /// What a request costs.
@@ -92,54 +177,33 @@ pub(crate) struct Shared {
 pub(crate) struct Cost {
     /// Particle-steps, or numbers to read or write.
     pub(crate) work: u64,
-    /// Bytes that it takes from the budget, until it is done or for what it creates.
+    /// Bytes that it takes from the budget of worlds, until it is done or for what it creates.
     pub(crate) bytes: u64,
+    /// Bytes of its answer.
+    pub(crate) answer: u64,
 }
 
 impl Cost {
     pub(crate) fn of(work: u64) -> Self {
-        Self { work, bytes: 0 }
+        Self { work, ..Self::default() }
     }
 
-    /// Of reading so many numbers: never so long that it waits for one of the places.
+    /// Of reading so many numbers: never so long that it waits for one of the places of long work.
     pub(crate) fn of_reading(numbers: u64) -> Self {
-        Self::of(numbers.min(LONG_WORK))
-    }
-}
-
-/// What a change answers.
-#[derive(Debug)]
-pub(crate) struct Reply {
-    pub(crate) status: StatusCode,
-    pub(crate) location: Option<String>,
-    pub(crate) body: Vec<u8>,
-}
-
-impl Reply {
-    pub(crate) fn ok(body: Vec<u8>) -> Self {
-        Self { status: StatusCode::OK, location: None, body }
+        Self::of(numbers.min(LONG_WORK)).answering(numbers)
     }
 
-    pub(crate) fn no_content() -> Self {
-        Self { status: StatusCode::NO_CONTENT, location: None, body: Vec::new() }
-    }
-
-    pub(crate) fn created(location: Option<String>, body: Vec<u8>) -> Self {
-        Self { status: StatusCode::CREATED, location, body }
-    }
-
-    pub(crate) fn into_response(self, revision: Option<u64>) -> Response {
-        let mut response = Response::builder().status(self.status);
-        if self.status != StatusCode::NO_CONTENT {
-            response = response.header(header::CONTENT_TYPE, "application/json");
+    /// With an answer that is kept.
+    fn with_key(self) -> Result<Self, Problem> {
+        if self.answer > KEPT_ANSWER_BYTES_MAX {
+            return Err(too_large(self.answer, KEPT_ANSWER_BYTES_MAX, "with an Idempotency-Key"));
         }
-        if let Some(location) = self.location {
-            response = response.header(header::LOCATION, location);
-        }
-        if let Some(revision) = revision {
-            response = response.header(header::ETAG, etag(revision));
-        }
-        response.body(Body::from(self.body)).expect("names of worlds are valid in headers")
+        Ok(Self { bytes: self.bytes.saturating_add(self.answer + 2 * ENTRY_BYTES as u64), ..self })
+    }
+
+    /// With so many numbers in the answer.
+    pub(crate) fn answering(self, numbers: u64) -> Self {
+        Self { answer: numbers.saturating_mul(NUMBER_BYTES), ..self }
     }
 }
 
@@ -154,14 +218,36 @@ impl Drop for CancelOnDrop {
 }
 
 impl<R: WireReal> Slot<R> {
-    pub(crate) fn new(name: &str, world: World<R>, shared: &Shared) -> Self {
+    pub(crate) fn new(name: &str, world: World<R>, shared: &Arc<Shared>) -> Self {
         let description = Mutex::new(Description::new(name, &world));
         let held = Held { world: Some(world), interrupted: false, charge: Charge::none(&shared.memory) };
-        Self { world: Arc::new(tokio::sync::Mutex::new(held)), description, shared: shared.clone() }
+        Self {
+            world: Arc::new(tokio::sync::Mutex::new(held)),
+            description,
+            queue: Queue::new(shared.world_queue),
+            answers: Answers::new(shared.key_limits),
+            shared: Arc::clone(shared),
+        }
+    }
+
+    /// Keeps the answer of the request that creates the world, which nobody else has yet.
+    pub(crate) fn keep_first(&self, key: &Key, reply: &Reply) -> Result<(), Problem> {
+        if let Ok(mut held) = self.world.try_lock() {
+            held.charge.grow(2 * ENTRY_BYTES as u64)?;
+        }
+        if let Attempt::First(claim) = self.answers.attempt(key)? {
+            claim.answered(reply);
+        }
+        Ok(())
     }
 
     pub(crate) fn description(&self) -> Description<R> {
         self.description.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// After the last change.
+    pub(crate) fn particle_count(&self) -> usize {
+        self.description.lock().unwrap_or_else(PoisonError::into_inner).particle_count()
     }
 
     /// Changes the world: waits for its turn, checks in the order of the contract, applies, publishes.
@@ -169,34 +255,46 @@ impl<R: WireReal> Slot<R> {
     /// `cost` estimates what `apply` costs.
     pub(crate) async fn change<T: Send + 'static>(
         self: &Arc<Self>,
-        target: &Target,
-        preconditions: &Preconditions,
+        change: &Change,
         parsed: Result<T, Problem>,
         cost: impl Fn(&World<R>, &T) -> Cost,
         apply: impl FnOnce(&mut World<R>, T, &AtomicBool) -> Result<Reply, Problem> + Send + 'static,
     ) -> Result<Response, Problem> {
+        let claim = match change.key.as_ref().map(|key| self.answers.attempt(key.as_ref().map_err(Clone::clone)?)) {
+            Some(Ok(Attempt::First(claim))) => Some(claim),
+            None => None,
+            Some(Err(problem)) if problem.code == Code::IdempotencyKeyInFlight => return Err(problem),
+            Some(told) => {
+                // An unknown world or particle is told first.
+                self.lock().await?.world(&change.target)?;
+                return told.map(|attempt| attempt.reply().into_response());
+            }
+        };
         let check = |world: &World<R>| {
             if let Err(problem) = &parsed
                 && problem.code == Code::MalformedJson
             {
                 return Err(problem.clone());
             }
-            preconditions.check(world.revision())?;
-            parsed.as_ref().map(|parsed| cost(world, parsed)).map_err(Clone::clone)
+            change.preconditions.check(world.revision())?;
+            let cost = parsed.as_ref().map(|parsed| cost(world, parsed)).map_err(Clone::clone)?;
+            if claim.is_some() { cost.with_key() } else { Ok(cost) }
         };
-        let mut turn = self.turn(target, check).await?;
+        let mut turn = self.turn(&change.target, check).await?;
         let parsed = parsed?;
         let slot = Arc::clone(self);
         run(turn.work, move |cancelled| {
             let held = &mut *turn.held;
             held.interrupted = true;
             let world = held.world.as_mut().expect("it was there above, under the same lock");
-            let reply = apply(world, parsed, cancelled);
-            let revision = world.revision();
+            let reply = apply(world, parsed, cancelled).map(|reply| reply.at(world.revision()));
             slot.description.lock().unwrap_or_else(PoisonError::into_inner).update(world);
+            if let (Ok(reply), Some(claim)) = (&reply, claim) {
+                claim.answered(reply);
+            }
             held.interrupted = false;
-            turn.end();
-            Ok(reply?.into_response(Some(revision)))
+            let charge = turn.end(&slot.answers);
+            Ok(reply?.charged(charge).into_response())
         })
         .await
     }
@@ -204,12 +302,12 @@ impl<R: WireReal> Slot<R> {
     /// Reads the world in its turn.
     pub(crate) async fn read<Q: Send + 'static>(
         self: &Arc<Self>,
-        target: &Target,
-        preconditions: &Preconditions,
+        read: &Read,
         query: Result<Q, Problem>,
         cost: impl Fn(&World<R>, &Q) -> Cost,
         answer: impl FnOnce(&World<R>, Q, &AtomicBool) -> Result<Vec<u8>, Problem> + Send + 'static,
     ) -> Result<Response, Problem> {
+        let Read { target, preconditions, .. } = read;
         let check = |world: &World<R>| {
             let query = query.as_ref().map_err(Clone::clone)?;
             Ok(if preconditions.has(world.revision()) { Cost::default() } else { cost(world, query) })
@@ -218,87 +316,102 @@ impl<R: WireReal> Slot<R> {
         let query = query?;
         let revision = turn.held.world(target)?.revision();
         if preconditions.has(revision) {
-            let reply = Reply { status: StatusCode::NOT_MODIFIED, location: None, body: Vec::new() };
-            let mut response = reply.into_response(Some(revision));
-            response.headers_mut().remove(header::CONTENT_TYPE);
-            return Ok(response);
+            return Ok(Reply::not_modified().at(revision).into_response());
         }
+        let slot = Arc::clone(self);
         run(turn.work, move |cancelled| {
             let world = turn.held.world.as_ref().expect("it was there above, under the same lock");
             let body = answer(world, query, cancelled);
-            turn.end();
-            Ok(Reply::ok(body?).into_response(Some(revision)))
+            let charge = turn.end(&slot.answers);
+            Ok(Reply::ok(body?).at(revision).charged(charge).into_response())
         })
         .await
     }
 
-    /// Waits for the world, and for a place when the work is long; `check` refuses, or tells the cost, which is charged.
+    /// Waits for the world, and for a place where the work needs one; `check` refuses, or tells the cost, which is
+    /// charged.
     async fn turn(
         &self,
         target: &Target,
         check: impl Fn(&World<R>) -> Result<Cost, Problem>,
     ) -> Result<Turn<R>, Problem> {
+        let mut held = self.lock().await?;
         let mut place = None;
-        loop {
-            let mut held = self.lock(target).await?;
-            let Cost { work, bytes } = check(held.world(target)?)?;
-            if work > LONG_WORK && place.is_none() {
-                place = Arc::clone(&self.shared.long_places).try_acquire_owned().ok();
+        for _ in 0..TURNS_MAX {
+            let Cost { work, bytes, answer } = check(held.world(target)?)?;
+            if let Some(places) = self.shared.places(work)
+                && place.is_none()
+            {
+                place = places.try_take();
                 if place.is_none() {
-                    // Others may use the world meanwhile.
+                    // Others may use the world meanwhile. Whoever then has it is waited for without the place.
                     drop(held);
-                    let free = Arc::clone(&self.shared.long_places).acquire_owned().await;
-                    place = Some(free.expect("the semaphore is never closed"));
+                    let free = places.take().await?;
+                    if let Ok(again) = Arc::clone(&self.world).try_lock_owned() {
+                        (held, place) = (again, Some(free));
+                    } else {
+                        drop(free);
+                        held = self.lock().await?;
+                    }
                     continue;
                 }
             }
+            if answer > self.shared.answer_bytes_max {
+                return Err(too_large(answer, self.shared.answer_bytes_max, ANSWER_BYTES_MAX));
+            }
+            let mut charge = Charge::none(&self.shared.in_flight);
+            charge.grow(answer)?;
             held.charge.grow(bytes)?;
-            return Ok(Turn { held, place, work });
+            return Ok(Turn { held, place, work, charge });
         }
+        Err(Problem::new(Code::Overloaded, "the world and a processor were never free together; try again later"))
     }
 
     /// Takes the world out, in its turn; `forget` runs while nobody else can see it.
     pub(crate) async fn remove(
         self: &Arc<Self>,
-        target: &Target,
-        preconditions: &Preconditions,
+        change: &Change,
         query: Result<(), Problem>,
         forget: impl FnOnce(),
     ) -> Result<Response, Problem> {
-        let mut held = Arc::clone(&self.world).lock_owned().await;
+        let mut held = self.lock().await?;
         // A quarantined world can be deleted as well.
-        let world = held.world.as_ref().ok_or_else(|| unknown_world(&target.world))?;
-        preconditions.check(world.revision())?;
+        let world = held.world.as_ref().ok_or_else(|| unknown_world(&change.target.world))?;
+        change.preconditions.check(world.revision())?;
         query?;
         held.world = None;
         held.charge.shrink_to(0);
         forget();
-        Ok(Reply::no_content().into_response(None))
+        Ok(Reply::no_content().into_response())
     }
 
-    async fn lock(&self, target: &Target) -> Result<OwnedMutexGuard<Held<R>>, Problem> {
-        let held = Arc::clone(&self.world).lock_owned().await;
-        if held.interrupted {
-            let detail = format!("a defect interrupted a change of the world {:?}; delete it", target.world);
-            return Err(Problem::new(Code::WorldQuarantined, detail));
+    async fn lock(&self) -> Result<OwnedMutexGuard<Held<R>>, Problem> {
+        match Arc::clone(&self.world).try_lock_owned() {
+            Ok(held) => Ok(held),
+            Err(_) => self.queue.wait(Arc::clone(&self.world).lock_owned()).await,
         }
-        Ok(held)
     }
 }
 
 impl<R: WireReal> Turn<R> {
-    /// Gives back the world, the place, and the bytes that the particles do not take.
-    fn end(self) {
-        let Self { mut held, place, .. } = self;
+    /// Gives back the world, the place, and the bytes that neither particles nor kept answers take; what is left is the
+    /// charge for the answer.
+    fn end(self, answers: &Answers) -> Charge {
+        let Self { mut held, place, charge, .. } = self;
         let particles = held.world.as_ref().map_or(0, World::particle_count) as u64;
-        held.charge.shrink_to(particles * PARTICLE_BYTES);
+        held.charge.shrink_to(particles * PARTICLE_BYTES + answers.bytes());
         drop((held, place));
+        charge
     }
 }
 
 impl<R: Real> Held<R> {
     /// The world, with the particle of the path in it.
     fn world(&mut self, target: &Target) -> Result<&mut World<R>, Problem> {
+        if self.interrupted {
+            let detail = format!("a defect interrupted a change of the world {:?}; delete it", target.world);
+            return Err(Problem::new(Code::WorldQuarantined, detail));
+        }
         let world = self.world.as_mut().ok_or_else(|| unknown_world(&target.world))?;
         if target.names_particle() {
             let id = target.particle()?;
@@ -314,6 +427,13 @@ pub(crate) fn unknown_world(name: &str) -> Problem {
     Problem::new(Code::UnknownWorld, format!("there is no world {name:?}; create it with PUT /v1/worlds/{{world}}"))
 }
 
+fn too_large(answer: u64, limit: u64, flag: &str) -> Problem {
+    let detail = format!(
+        "the answer may have {answer} bytes, more than {limit} ({flag}); ask for fewer properties or particles"
+    );
+    Problem::new(Code::AnswerTooLarge, detail)
+}
+
 /// Runs a job here, or in the compute pool when it is long.
 async fn run<T: Send + 'static>(
     work: u64,
@@ -325,14 +445,6 @@ async fn run<T: Send + 'static>(
         return job(&cancelled);
     }
     in_pool(move || job(&cancelled)).await
-}
-
-/// Parses a body here, or in the compute pool when it is long.
-pub(crate) async fn parse<T: Send + 'static>(
-    body: axum::body::Bytes,
-    parse: impl FnOnce(&[u8]) -> Result<T, Problem> + Send + 'static,
-) -> Result<T, Problem> {
-    if body.len() <= INLINE_BYTES { parse(&body) } else { in_pool(move || parse(&body)).await }
 }
 
 /// The compute pool is tokio's pool of blocking threads, which nothing else uses.
@@ -350,57 +462,55 @@ async fn in_pool<T: Send + 'static>(job: impl FnOnce() -> Result<T, Problem> + S
 mod tests {
     use std::sync::Arc;
 
-    use tokio::sync::Semaphore;
-
-    use super::{Code, Cost, Reply, Shared, Slot};
-    use crate::server::extract::{Preconditions, Target};
-    use crate::server::memory::Memory;
-    use crate::threads::Threads;
+    use super::{Code, Config, Cost, Reply, Shared, Slot};
+    use crate::server::extract::Change;
     use crate::world::World;
 
-    fn shared() -> Shared {
-        Shared { memory: Memory::new(1 << 20), threads: Threads::default(), long_places: Arc::new(Semaphore::new(1)) }
+    fn shared() -> Arc<Shared> {
+        let config = Config { threads: 1, ..Config::default() };
+        Arc::new(Shared::new(&config).expect("one thread"))
     }
 
     /// A panic in the middle of a change: nobody sees the half-changed world again, and it can be deleted.
     #[tokio::test]
     async fn a_world_with_an_interrupted_change_is_quarantined() {
-        let none = Preconditions::default();
         for work in [0, u64::MAX] {
             let slot = Arc::new(Slot::new("a", World::<f64>::default(), &shared()));
             let changing = Arc::clone(&slot);
             let change = async move {
-                let (target, none) = (Target::default(), Preconditions::default());
-                changing.change(&target, &none, Ok(()), |_, ()| Cost::of(work), |_, (), _| panic!("a defect")).await
+                let change = Change::default();
+                changing.change(&change, Ok(()), |_, ()| Cost::of(work), |_, (), _| panic!("a defect")).await
             };
             assert!(tokio::spawn(change).await.expect_err("it panicked").is_panic());
-            let target = Target::default();
-            let next = slot.change(&target, &none, Ok(()), |_, ()| Cost::default(), |_, (), _| Ok(Reply::no_content()));
+            let again = Change::default();
+            let next = slot.change(&again, Ok(()), |_, ()| Cost::default(), |_, (), _| Ok(Reply::no_content()));
             assert_eq!(next.await.expect_err("quarantined").code, Code::WorldQuarantined);
-            let removed = slot.remove(&target, &none, Ok(()), || {});
+            let removed = slot.remove(&again, Ok(()), || {});
             assert_eq!(removed.await.expect("it can be deleted").status(), 204);
         }
     }
 
-    /// A long change that waits for a place leaves its world to others.
+    /// A long change that waits for a place leaves its world to others, and is judged anew when it has one.
     #[tokio::test]
     async fn who_waits_for_a_place_holds_no_world() {
         let shared = shared();
         let slot = Arc::new(Slot::new("a", World::<f64>::default(), &shared));
-        let taken = Arc::clone(&shared.long_places).acquire_owned().await.expect("open");
-        let (target, none) = (Target::default(), Preconditions::default());
-        let mut long = std::pin::pin!(slot.change(
-            &target,
-            &none,
-            Ok(()),
-            |_, ()| Cost::of(u64::MAX),
-            |_, (), _| Ok(Reply::no_content())
-        ));
-        assert!(poll_once(long.as_mut()).await.is_none(), "it waits");
-        let short = slot.change(&target, &none, Ok(()), |_, ()| Cost::default(), |_, (), _| Ok(Reply::no_content()));
+        let taken: Vec<_> = std::iter::from_fn(|| shared.long_places.try_take()).collect();
+        let change = Change::default();
+        let long = || slot.change(&change, Ok(()), |_, ()| Cost::of(u64::MAX), |_, (), _| Ok(Reply::no_content()));
+        let (mut first, mut second) = (std::pin::pin!(long()), std::pin::pin!(long()));
+        assert!(poll_once(first.as_mut()).await.is_none() && poll_once(second.as_mut()).await.is_none(), "they wait");
+        assert_eq!(shared.long_places.queue.depth_and_age().0, 2);
+        let short = slot.change(&change, Ok(()), |_, ()| Cost::default(), |_, (), _| Ok(Reply::no_content()));
         assert_eq!(short.await.expect("the world is free").status(), 204);
+        // Got a place, found the world taken: gives the place back.
+        let held = slot.lock().await.expect("free");
         drop(taken);
-        assert_eq!(long.await.expect("its turn").status(), 204);
+        assert!(poll_once(first.as_mut()).await.is_none(), "it waits for the world");
+        assert!(shared.long_places.try_take().is_some(), "and not in a place");
+        drop(held);
+        assert_eq!(first.await.expect("its turn").status(), 204);
+        assert_eq!(second.await.expect("its turn").status(), 204);
     }
 
     async fn poll_once<F: Future>(mut future: std::pin::Pin<&mut F>) -> Option<F::Output> {

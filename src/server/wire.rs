@@ -163,6 +163,10 @@ impl<R: WireReal> Description<R> {
         }
     }
 
+    pub(crate) fn particle_count(&self) -> usize {
+        self.particle_count
+    }
+
     /// The same world, later.
     pub(crate) fn update(&mut self, world: &World<R>) {
         let name = std::mem::take(&mut self.world);

@@ -17,7 +17,10 @@ fn a_slow_body_is_given_up() {
 
 #[test]
 fn half_a_header_and_silence_are_given_up() {
-    let service = Service::with(|config| config.header_timeout_ms = 200);
+    let service = Service::with(|config| {
+        config.header_timeout_ms = 200;
+        config.idle_timeout_ms = 200;
+    });
     for start in ["", "GET / HT", "GET /v1 HTTP/1.1\r\nhost: loc"] {
         let mut half = service.client();
         half.raw(start.as_bytes());
@@ -92,4 +95,56 @@ fn connections_beyond_the_limit_wait_for_their_turn() {
     drop(first);
     second.impatient(Duration::from_secs(10));
     second.answer(false).expect(200);
+}
+
+/// An idle connection ends, one that works does not: neither while a request takes long, nor while requests keep coming.
+#[test]
+fn only_what_is_silent_is_idle() {
+    let service = Service::with(|config| {
+        config.idle_timeout_ms = 150;
+        config.header_timeout_ms = 150;
+    });
+    let mut client = service.client();
+    client.put("/v1/worlds/a", r#"{"integrator":"newton_euler"}"#).expect(201);
+    client.post("/v1/worlds/a/particles", r#"{"count":1000,"velocity":[1,0,0]}"#).expect(201);
+    for _ in 0..10 {
+        client.get("/healthz").expect(200);
+        std::thread::sleep(Duration::from_millis(30));
+    }
+    client.post("/v1/worlds/a/advance", r#"{"duration":1,"steps":1000000}"#).expect(200);
+    client.get("/healthz").expect(200);
+    client.impatient(Duration::from_secs(20));
+    assert!(client.is_closed(), "it is idle now");
+}
+
+/// A client that asks for much and takes nothing of it loses its connection, and nothing else happens.
+#[test]
+fn who_does_not_read_is_given_up() {
+    let service = Service::with(|config| config.write_timeout_ms = 300);
+    let mut client = service.client();
+    client.put("/v1/worlds/a", "").expect(201);
+    client.post("/v1/worlds/a/particles", r#"{"count":300000,"velocity":[0.1,0.2,0.3]}"#).expect(201);
+    let mut silent = service.client();
+    silent.raw(b"GET /v1/worlds/a/state HTTP/1.1\r\nhost: localhost\r\n\r\n");
+    std::thread::sleep(Duration::from_millis(1500));
+    silent.impatient(Duration::from_secs(20));
+    assert!(silent.try_answer(false).is_none(), "the answer was cut off");
+    client.get("/v1/worlds/a").expect(200);
+}
+
+#[test]
+fn heads_that_are_too_long_are_refused() {
+    let service = Service::with(|config| {
+        config.uri_bytes_max = 100;
+        config.header_bytes_max = 200;
+    });
+    let mut client = service.client();
+    client.get(&format!("/v1?a={}", "a".repeat(94))).expect(422);
+    let answer = client.get(&format!("/v1?a={}", "a".repeat(95)));
+    assert_eq!((answer.status, answer.json()["code"].as_str()), (414, Some("uri_too_long")));
+    assert!(answer.text().contains("--uri-bytes-max"));
+    let answer = client.send("GET", "/v1", &[("x", &"a".repeat(200))], None);
+    assert_eq!((answer.status, answer.json()["code"].as_str()), (431, Some("headers_too_large")));
+    assert!(answer.text().contains("--header-bytes-max"));
+    client.get("/v1").expect(200);
 }

@@ -357,7 +357,35 @@ fn the_service_tells_about_itself() {
     let metrics = client.get("/metrics").expect(200);
     assert!(metrics.header("content-type").is_some_and(|text| text.starts_with("application/openmetrics-text")));
     assert!(metrics.text().ends_with("# EOF\n"));
-    assert!(metrics.text().contains("pointmass_answers_total{method=\"GET\",route=\"/healthz\",status=\"200\"}"));
+    // The one of the shared service has other worlds too.
+    let service = Service::start();
+    let mut client = service.client();
+    client.put("/v1/worlds/a", "").expect(201);
+    client.post("/v1/worlds/a/particles", r#"{"count":3,"inverse_mass":[1,1,0]}"#).expect(201);
+    client.post("/v1/worlds/a/advance", r#"{"duration":1}"#).expect(200);
+    client.patch("/v1/worlds/a", r#"{"integrator":"newton_euler"}"#).expect(200);
+    client.post("/v1/worlds/a/advance", r#"{"duration":1,"steps":5}"#).expect(200);
+    let metrics = client.get("/metrics").text().to_owned();
+    for line in [
+        "pointmass_requests_total{method=\"POST\",route=\"/v1/worlds/{world}/advance\",status=\"200\"} 2",
+        "pointmass_request_duration_seconds_count{method=\"PUT\",route=\"/v1/worlds/{world}\"} 1",
+        "pointmass_advances_total 2",
+        "pointmass_particle_steps_total 10",
+        "pointmass_particles_deferred_total 2",
+        "pointmass_particles_skipped_total 2",
+        "pointmass_connections 1",
+        "pointmass_worlds 1",
+        "pointmass_particles 3",
+        "pointmass_in_flight 1",
+        "pointmass_worlds_charged_bytes 768",
+        "pointmass_in_flight_charged_bytes 0",
+        "pointmass_queue_depth{queue=\"world\"} 0",
+        "pointmass_queue_age_seconds{queue=\"processor\"} 0.0",
+        concat!("pointmass_build_info{version=\"", env!("CARGO_PKG_VERSION"), "\"} 1"),
+    ] {
+        assert!(metrics.lines().any(|other| other == line), "{line} is not in\n{metrics}");
+    }
+    assert!(metrics.contains("pointmass_resident_memory_bytes "));
 }
 
 #[test]
@@ -368,7 +396,7 @@ fn methods_nobody_heard_of_do_not_grow_the_metrics() {
         client.send(&format!("METHOD{n}"), "/v1", &[], None).expect(405);
         client.send("GET", &format!("/nowhere/{n}"), &[], None).expect(404);
     }
-    let lines = client.get("/metrics").text().lines().filter(|line| line.starts_with("pointmass_answers")).count();
+    let lines = client.get("/metrics").text().lines().filter(|line| line.starts_with("pointmass_requests_t")).count();
     assert_eq!(lines, 2);
 }
 

@@ -25,12 +25,16 @@ mod lockstep;
 mod naive;
 /// The OpenAPI description.
 mod openapi;
+/// More work than there is room for.
+mod overload;
 /// Motion against closed forms, and the rules of the engine.
 mod physics;
 /// README.md keeps its word.
 mod readme;
 /// Every refusal as data.
 mod refusals;
+/// Changes that are sent again.
+mod retries;
 /// A service on a real socket, and a plain client.
 mod service;
 /// What a scene does not need is not done, and leaves no trace in its bits.

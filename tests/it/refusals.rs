@@ -406,21 +406,76 @@ fn memory_is_charged_before_it_is_taken() {
     client.post("/v1/worlds/b/particles", "{}").expect(422);
 }
 
+#[test]
+fn answers_and_simulated_seconds_have_a_limit() {
+    let service = Service::with(|config| {
+        config.answer_bytes_max = 10_000;
+        config.duration_max = Some(100.0);
+    });
+    let mut client = service.client();
+    client.put("/v1/worlds/a", "{\"integrator\":\"newton_euler\"}").expect(201);
+    client.post("/v1/worlds/a/particles", "{\"count\":100}").expect(201);
+    client.get("/v1/worlds/a/state?fields=mass").expect(200);
+    client.get("/v1/worlds/a/particles?limit=10").expect(200);
+    for path in ["state", "particles", "particles/0/trajectory?duration=1&samples=1000"] {
+        let refused = client.get(&format!("/v1/worlds/a/{path}")).expect(422);
+        assert_eq!(refused.json()["code"], "answer_too_large", "{path}");
+        assert!(refused.text().contains("--answer-bytes-max"), "{}", refused.text());
+    }
+    let with_state = "{\"duration\":1,\"return\":[\"position\",\"velocity\"]}";
+    let refused = client.post("/v1/worlds/a/advance", with_state).expect(422);
+    assert_eq!(refused.json()["code"], "answer_too_large");
+    client.post("/v1/worlds/a/advance", "{\"duration\":100}").expect(200);
+    let refused = client.post("/v1/worlds/a/advance", "{\"duration\":100.5}").expect(422);
+    assert_eq!(
+        (refused.json()["code"].as_str(), refused.json()["pointer"].as_str()),
+        (Some("compute_budget"), Some("/duration"))
+    );
+    assert!(refused.text().contains("--duration-max"), "{}", refused.text());
+    client.get("/v1/worlds/a/particles/0/trajectory?duration=101").expect(422);
+    assert_eq!(client.get("/v1/worlds/a").json()["revision"], 2);
+}
+
+/// Nothing that is nested deeper than a request can be is ever built: it is skipped in one pass.
+#[test]
+fn nesting_has_no_price() {
+    let service = Service::start();
+    let mut client = service.client();
+    client.put("/v1/worlds/a", "").expect(201);
+    for (open, close) in [("[", "]"), ("{\"a\":", "}")] {
+        let inner = if open == "[" { "" } else { "1" };
+        let deep = open.repeat(100_000) + inner + &close.repeat(100_000);
+        for (path, body) in [
+            ("/v1/worlds/a/particles", deep.clone()),
+            ("/v1/worlds/a/particles", format!("{{\"count\":1,\"position\":{deep}}}")),
+            ("/v1/worlds/a/advance", format!("{{\"duration\":1,\"until\":{deep}}}")),
+        ] {
+            client.post(path, &body).expect(422);
+        }
+    }
+    client.post("/v1/worlds/a/particles", &"[".repeat(1_000_000)).expect(400);
+}
+
 /// The codes that need more than one request each have a test that names them here.
 #[test]
 fn every_code_is_seen() {
     let elsewhere = [
-        "malformed_request", // connections.rs
-        "uri_too_long",      // connections.rs
-        "headers_too_large", // connections.rs
-        "unauthorized",      // access.rs
-        "body_timeout",      // connections.rs
-        "body_too_large",    // above
-        "shutting_down",     // command_line.rs
-        "internal_error",    // src/server/mod.rs
-        "world_quarantined", // src/server/slot.rs
-        "removed_twice",     // no route removes several yet
-        "limit_reached",     // above
+        "malformed_request",         // connections.rs
+        "uri_too_long",              // connections.rs
+        "headers_too_large",         // connections.rs
+        "unauthorized",              // access.rs
+        "body_timeout",              // connections.rs
+        "body_too_large",            // above
+        "shutting_down",             // command_line.rs
+        "internal_error",            // src/server/mod.rs
+        "world_quarantined",         // src/server/slot.rs
+        "removed_twice",             // no route removes several yet
+        "limit_reached",             // above
+        "answer_too_large",          // below
+        "overloaded",                // overload.rs
+        "idempotency_key_in_flight", // retries.rs
+        "idempotency_key_reused",    // retries.rs
+        "invalid_idempotency_key",   // retries.rs
     ];
     let seen: HashSet<&str> =
         ROWS.iter().map(|row| row.4).chain(HEADERS.iter().map(|row| row.3)).chain(elsewhere).collect();

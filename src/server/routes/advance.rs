@@ -14,11 +14,13 @@ use crate::command::{Advance, Advanced, Command, Outcome, Plane, Settings, StepE
 use crate::ids::ParticleId;
 use crate::integrator::Integrator;
 use crate::server::App;
+use crate::server::config::{Config, DURATION_MAX};
 use crate::server::extract::Change;
 use crate::server::json::{self, Named, Object, Vector, WireReal, choices, present};
 use crate::server::memory::{ADAPTIVE_BYTES, COMPARED_BYTES, PARTICLE_BYTES, SYSTEM_BYTES};
-use crate::server::problem::{Problem, Shape};
-use crate::server::slot::{Cost, Reply, with_slot};
+use crate::server::problem::{Code, Problem, Shape};
+use crate::server::reply::Reply;
+use crate::server::slot::{Cost, with_slot};
 use crate::server::wire::{self, Property, VectorSchema};
 use crate::world::World;
 
@@ -153,7 +155,10 @@ struct AdvancedBody<R: WireReal> {
     responses((status = 200, body = AdvancedBody<f64>, headers(("etag" = String)))))]
 async fn advance(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
     let any = app.slot(&change.target)?;
-    let parsed = json::parse::<Object<AdvanceBody>>(&change.body).map(|Object(body)| body);
+    let parsed = json::parse::<Object<AdvanceBody>>(&change.body).and_then(|Object(body)| {
+        check_duration(body.duration, &app.config, "/duration")?;
+        Ok(body)
+    });
     let metrics = app.metrics.clone();
     with_slot!(any, slot => {
         change.apply(&slot, parsed, cost, move |world, body, cancelled| {
@@ -178,14 +183,25 @@ async fn advance(State(app): State<Arc<App>>, change: Change) -> Result<Response
     })
 }
 
+/// Refuses more simulated seconds than one request may take.
+pub(crate) fn check_duration(duration: f64, config: &Config, pointer: &str) -> Result<(), Problem> {
+    match config.duration_max {
+        Some(max) if duration > max => {
+            let detail = format!("the duration is above {max} s (--{DURATION_MAX})");
+            Err(Problem::at(Code::ComputeBudget, pointer, detail))
+        }
+        Some(_) | None => Ok(()),
+    }
+}
+
 /// Particle-steps, and numbers to write; a dry run works on a copy.
 fn cost<R: WireReal>(world: &World<R>, body: &AdvanceBody) -> Cost {
-    let written = 3 * body.properties.as_ref().map_or(0, Vec::len) as u64;
     let particles = world.particle_count() as u64;
+    let written = body.properties.as_ref().map_or(0, |properties| (1 + 3 * properties.len() as u64) * particles);
     let copied = if body.dry_run { particles } else { 0 };
     let advance = body.advance();
-    let work = world.work(&advance).saturating_add(particles * written + copied);
-    Cost { work, bytes: copied * PARTICLE_BYTES + bytes_of_copies(world, &advance) }
+    let work = world.work(&advance).saturating_add(written + copied);
+    Cost { bytes: copied * PARTICLE_BYTES + bytes_of_copies(world, &advance), ..Cost::of(work).answering(written) }
 }
 
 /// What an advance takes besides the world, until it is done.

@@ -17,7 +17,7 @@ use crate::server::extract::Change;
 use crate::server::json::{self, Element, Object, Vector, WireReal, column};
 use crate::server::problem::Problem;
 use crate::server::routes::{apply_to_many, many};
-use crate::server::slot::{self, with_slot};
+use crate::server::slot::with_slot;
 use crate::server::wire::{Changed, ParticleView, VectorColumn, VectorSchema, selection};
 
 pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
@@ -94,7 +94,7 @@ async fn add_forces(State(app): State<Arc<App>>, change: Change) -> Result<Respo
     }
     let any = app.slot(&change.target)?;
     with_slot!(any, slot => {
-        let parsed = slot::parse(change.body.clone(), read).await;
+        let parsed = app.shared.parse(change.body.clone(), read).await;
         change.apply(&slot, parsed, many, |world, command, _| apply_to_many(world, &command)).await
     })
 }

@@ -18,7 +18,8 @@ use crate::real::Real;
 use crate::server::extract::{Change, NoParameters};
 use crate::server::json::{self, WireReal};
 use crate::server::problem::{Problem, Shape};
-use crate::server::slot::{Cost, Reply, Slot};
+use crate::server::reply::Reply;
+use crate::server::slot::{Cost, Slot};
 use crate::server::wire::{Changed, ParticleView};
 use crate::world::World;
 
@@ -32,7 +33,7 @@ impl Change {
         apply: impl FnOnce(&mut World<R>, T, &AtomicBool) -> Result<Reply, Problem> + Send + 'static,
     ) -> Result<Response, Problem> {
         let parsed = parsed.and_then(|parsed| self.query::<NoParameters>().map(|_| parsed));
-        slot.change(&self.target, &self.preconditions, parsed, cost, apply).await
+        slot.change(self, parsed, cost, apply).await
     }
 
     /// Changes the particle of the path by one command; the answer is the particle.
@@ -48,7 +49,7 @@ impl Change {
         let cost = |world: &World<R>, _: &Command<R>| Cost::of(world.particle_count() as u64 / 8);
         self.apply(slot, command, cost, move |world, command, _| {
             world.apply(&command).map_err(|error| Problem::from_engine(error, Shape::Particle))?;
-            whole(world, id)
+            Ok(Reply::ok(whole(world, id)?))
         })
         .await
     }
@@ -67,9 +68,9 @@ pub(crate) fn many<R: Real>(world: &World<R>, command: &Command<R>) -> Cost {
 }
 
 /// The answer with one particle.
-pub(crate) fn whole<R: WireReal>(world: &World<R>, id: ParticleId) -> Result<Reply, Problem> {
+pub(crate) fn whole<R: WireReal>(world: &World<R>, id: ParticleId) -> Result<Vec<u8>, Problem> {
     let state = world.particle(id).map_err(|error| Problem::from_engine(error, Shape::Particle))?;
-    Ok(Reply::ok(json::write(&ParticleView::whole(&state))))
+    Ok(json::write(&ParticleView::whole(&state)))
 }
 
 /// Applies a command to many particles; the answer counts them.

@@ -16,8 +16,9 @@ use crate::server::extract::{Change, NoParameters, Read, page_limit};
 use crate::server::json::{self, Element, Object, Vector, WireReal, present};
 use crate::server::memory::PARTICLE_BYTES;
 use crate::server::problem::{Code, Problem, Shape};
+use crate::server::reply::Reply;
 use crate::server::routes::{apply_to_many, many, whole};
-use crate::server::slot::{self, Cost, Reply, with_slot};
+use crate::server::slot::{Cost, with_slot};
 use crate::server::wire::{
     self, Changed, ColumnsBody, Created, ParticleBody, ParticleView, Property, SetManyBody, SetOneBody, VectorSchema,
     properties,
@@ -124,10 +125,10 @@ async fn create_particles(State(app): State<Arc<App>>, change: Change) -> Result
     let any = app.slot(&change.target)?;
     let name = change.target.world.clone();
     with_slot!(any, slot => {
-        let parsed = slot::parse(change.body.clone(), read_new).await;
+        let parsed = app.shared.parse(change.body.clone(), read_new).await;
         let cost = |_: &World<_>, new: &New<_>| {
             let count = new.particles.count as u64;
-            Cost { work: count, bytes: count.saturating_mul(PARTICLE_BYTES) }
+            Cost { bytes: count.saturating_mul(PARTICLE_BYTES), ..Cost::of(count) }
         };
         change.apply(&slot, parsed, cost, move |world, new, _| {
             let created = world.apply(&Command::Create(new.particles));
@@ -136,7 +137,7 @@ async fn create_particles(State(app): State<Arc<App>>, change: Change) -> Result
             };
             if new.shape == Shape::Particle {
                 let location = format!("/v1/worlds/{name}/particles/{first}");
-                Ok(Reply::created(Some(location), whole(world, first)?.body))
+                Ok(Reply::created(Some(location), whole(world, first)?))
             } else {
                 Ok(Reply::created(None, json::write(&Created { first_id: first.0, count })))
             }
@@ -180,8 +181,8 @@ fn read_new<R: WireReal>(body: &[u8]) -> Result<New<R>, Problem> {
 async fn list_particles(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
     let any = app.slot(&read.target)?;
     let query = read.query::<ListQuery>().and_then(List::try_from);
-    let cost = |list: &List, count: usize| Cost::of_reading(16 * list.limit.min(count) as u64);
-    with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query,
+    let cost = |list: &List, count: usize| Cost::of_reading(list.numbers() * list.limit.min(count) as u64);
+    with_slot!(any, slot => slot.read(&read, query,
         |world, list| cost(list, world.particle_count()),
         |world, list, _| list.of(world)).await)
 }
@@ -215,6 +216,11 @@ impl TryFrom<ListQuery> for List {
 }
 
 impl List {
+    /// As many as a particle in the answer is long, names included.
+    fn numbers(&self) -> u64 {
+        self.properties.as_ref().map_or(30, |properties| 2 + 4 * properties.len() as u64)
+    }
+
     fn of<R: WireReal>(self, world: &World<R>) -> Result<Vec<u8>, Problem> {
         let first = match self.after {
             None => Some(0),
@@ -263,7 +269,7 @@ async fn set_particles(State(app): State<Arc<App>>, change: Change) -> Result<Re
     }
     let any = app.slot(&change.target)?;
     with_slot!(any, slot => {
-        let parsed = slot::parse(change.body.clone(), read).await;
+        let parsed = app.shared.parse(change.body.clone(), read).await;
         change.apply(&slot, parsed, many, |world, command, _| apply_to_many(world, &command)).await
     })
 }
@@ -274,8 +280,8 @@ async fn set_particles(State(app): State<Arc<App>>, change: Change) -> Result<Re
 async fn read_particle(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
     let any = app.slot(&read.target)?;
     let query = read.query::<NoParameters>().and_then(|_| read.target.particle());
-    with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query, |_, _| Cost::default(), |world, id, _| {
-        Ok(whole(world, id)?.body)
+    with_slot!(any, slot => slot.read(&read, query, |_, _| Cost::default(), |world, id, _| {
+        whole(world, id)
     }).await)
 }
 
@@ -348,7 +354,7 @@ async fn read_state(State(app): State<Arc<App>>, read: Read) -> Result<Response,
         None => Ok(vec![Property::Position, Property::Velocity]),
         Some(fields) => properties(&fields),
     });
-    with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query,
-        |world, properties| Cost::of_reading((3 * properties.len() * world.particle_count()) as u64),
+    with_slot!(any, slot => slot.read(&read, query,
+        |world, properties| Cost::of_reading(((1 + 3 * properties.len()) * world.particle_count()) as u64),
         |world, properties, _| Ok(json::write(&wire::State::of(world, &properties)))).await)
 }

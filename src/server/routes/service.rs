@@ -18,15 +18,16 @@ use crate::server::App;
 use crate::server::config::PAGE_MAX;
 use crate::server::extract::{NoParameters, Read, no_parameters};
 use crate::server::json;
+use crate::server::metrics;
 use crate::server::problem::{Code, Problem};
-use crate::server::slot::Reply;
+use crate::server::reply::Reply;
 
 pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
     OpenApiRouter::new()
         .routes(routes!(describe_service))
         .routes(routes!(healthz))
         .routes(routes!(readyz))
-        .routes(routes!(metrics))
+        .routes(routes!(read_metrics))
         .routes(routes!(openapi))
         .routes(routes!(explain_problem))
         .routes(routes!(docs))
@@ -57,11 +58,28 @@ struct ServiceLimits {
     particle_steps_max: u64,
     /// Pairs of particles x evaluations of one advance, under gravitation.
     interactions_max: u64,
+    /// Simulated seconds of one advance; null: what a clock can hold.
+    #[schema(required)]
+    duration_max: Option<f64>,
     body_bytes_max: usize,
+    answer_bytes_max: u64,
+    in_flight_bytes_max: u64,
+    world_queue_max: usize,
+    queue_max: usize,
+    queue_timeout_ms: u64,
+    shed_after_ms: u64,
+    keys_max: usize,
+    key_lifetime_ms: u64,
     page_max: usize,
+    uri_bytes_max: usize,
+    header_bytes_max: usize,
     connections_max: usize,
+    address_connections_max: usize,
+    streams_max: u32,
     header_timeout_ms: u64,
+    idle_timeout_ms: u64,
     body_timeout_ms: u64,
+    write_timeout_ms: u64,
     drain_timeout_ms: u64,
 }
 
@@ -95,23 +113,38 @@ async fn describe_service(State(app): State<Arc<App>>, read: Read) -> Result<Res
             steps_max: config.steps_max,
             particle_steps_max: config.particle_steps_max,
             interactions_max: config.interactions_max,
+            duration_max: config.duration_max,
             body_bytes_max: config.body_bytes_max,
+            answer_bytes_max: config.answer_bytes_max,
+            in_flight_bytes_max: config.in_flight_bytes_max,
+            world_queue_max: config.world_queue_max,
+            queue_max: config.queue_max,
+            queue_timeout_ms: config.queue_timeout_ms,
+            shed_after_ms: config.shed_after_ms,
+            keys_max: config.keys_max,
+            key_lifetime_ms: config.key_lifetime_ms,
             page_max: PAGE_MAX,
+            uri_bytes_max: config.uri_bytes_max,
+            header_bytes_max: config.header_bytes_max,
             connections_max: config.connections_max,
+            address_connections_max: config.address_connections_max,
+            streams_max: config.streams_max,
             header_timeout_ms: config.header_timeout_ms,
+            idle_timeout_ms: config.idle_timeout_ms,
             body_timeout_ms: config.body_timeout_ms,
+            write_timeout_ms: config.write_timeout_ms,
             drain_timeout_ms: config.drain_timeout_ms,
         },
         features,
     };
-    Ok(Reply::ok(json::write(&service)).into_response(None))
+    Ok(Reply::ok(json::write(&service)).into_response())
 }
 
 /// Whether the process is alive
 #[utoipa::path(get, path = "/healthz", tag = "service", responses((status = 200, body = Health)))]
 async fn healthz(uri: Uri) -> Result<Response, Problem> {
     no_parameters(&uri)?;
-    Ok(Reply::ok(json::write(&Health { status: "ok" })).into_response(None))
+    Ok(Reply::ok(json::write(&Health { status: "ok" })).into_response())
 }
 
 /// Whether it takes on work
@@ -121,17 +154,17 @@ async fn readyz(State(app): State<Arc<App>>, uri: Uri) -> Result<Response, Probl
     if app.draining.load(Ordering::Relaxed) {
         return Err(Problem::plain(Code::ShuttingDown));
     }
-    Ok(Reply::ok(json::write(&Health { status: "ready" })).into_response(None))
+    app.shared.check_capacity()?;
+    Ok(Reply::ok(json::write(&Health { status: "ready" })).into_response())
 }
 
 /// Counters as `OpenMetrics` text
 #[utoipa::path(get, path = "/metrics", tag = "service",
     responses((status = 200, body = String, content_type = "application/openmetrics-text")))]
-async fn metrics(State(app): State<Arc<App>>, uri: Uri) -> Result<Response, Problem> {
+async fn read_metrics(State(app): State<Arc<App>>, uri: Uri) -> Result<Response, Problem> {
     no_parameters(&uri)?;
     let content_type = "application/openmetrics-text; version=1.0.0; charset=utf-8";
-    Ok(([(header::CONTENT_TYPE, content_type)], app.metrics.text(app.worlds.len(), app.in_flight.count()))
-        .into_response())
+    Ok(([(header::CONTENT_TYPE, content_type)], metrics::text(&app)).into_response())
 }
 
 /// This description

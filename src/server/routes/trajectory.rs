@@ -15,7 +15,7 @@ use crate::server::extract::Read;
 use crate::server::json::{self, WireReal};
 use crate::server::memory::PARTICLE_BYTES;
 use crate::server::problem::{Code, Problem, Shape};
-use crate::server::routes::advance::bytes_of_copies;
+use crate::server::routes::advance::{bytes_of_copies, check_duration};
 use crate::server::slot::{Cost, with_slot};
 use crate::server::wire::VectorSchema;
 use crate::world::{Trajectory, World};
@@ -73,8 +73,12 @@ struct TrajectoryBody<R: WireReal> {
     responses((status = 200, body = TrajectoryBody<f64>, headers(("etag" = String)))))]
 async fn read_trajectory(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
     let any = app.slot(&read.target)?;
-    let query = read.target.particle().and_then(|particle| read.query::<TrajectoryQuery>()?.of(particle));
-    with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query, cost, |world, way, cancelled| {
+    let query = read.target.particle().and_then(|particle| {
+        let query = read.query::<TrajectoryQuery>()?;
+        check_duration(query.duration, &app.config, "").map_err(Problem::without_pointer)?;
+        query.of(particle)
+    });
+    with_slot!(any, slot => slot.read(&read, query, cost, |world, way, cancelled| {
         let Way { particle, duration, samples } = way;
         let Trajectory { time, position, velocity } = world
             .trajectory_unless(particle, duration, samples, cancelled)
@@ -102,5 +106,6 @@ fn cost<R: WireReal>(world: &World<R>, way: &Way) -> Cost {
     } else {
         0
     };
-    Cost { work: world.trajectory_work(way.duration, way.samples).saturating_add(written), bytes }
+    let work = world.trajectory_work(way.duration, way.samples).saturating_add(written);
+    Cost { bytes, ..Cost::of(work).answering(written) }
 }

@@ -1,11 +1,9 @@
 //! `/v1/worlds`: create, describe, configure, delete.
 
-use std::collections::hash_map::RandomState;
-use std::hash::{BuildHasher, Hasher};
 use std::sync::Arc;
 
 use axum::extract::State;
-use axum::response::Response;
+use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 use utoipa::ToSchema;
@@ -21,10 +19,13 @@ use crate::registry::Refused;
 use crate::server::App;
 use crate::server::config::WORLDS_MAX;
 use crate::server::extract::{Change, NoParameters, Read, page_limit};
+use crate::server::front::random;
+use crate::server::idempotency::{Attempt, Key};
 use crate::server::json::{self, Element, Named, Object, Vector, WireReal, choices, parse_part, present};
 use crate::server::problem::{Code, Problem, Shape};
+use crate::server::reply::Reply;
 use crate::server::settings::{ForcesBody, Parts, ToleranceBody};
-use crate::server::slot::{AnySlot, Cost, Reply, Slot, with_slot};
+use crate::server::slot::{AnySlot, Cost, Slot, with_slot};
 use crate::server::wire::Description;
 use crate::world::World;
 
@@ -173,15 +174,18 @@ async fn list_worlds(State(app): State<Arc<App>>, read: Read) -> Result<Response
         AnySlot::Single(slot) => AnyDescription::Single(slot.description()),
         AnySlot::Double(slot) => AnyDescription::Double(slot.description()),
     });
-    Ok(Reply::ok(json::write(&Worlds { worlds: worlds.collect(), next_after })).into_response(None))
+    Ok(Reply::ok(json::write(&Worlds { worlds: worlds.collect(), next_after })).into_response())
 }
 
 /// Creates a world with a name that the service makes
 #[utoipa::path(post, path = "/v1/worlds", tag = "worlds", request_body = CreateWorld,
     responses((status = 201, body = Description<f64>, headers(("location" = String), ("etag" = String)))))]
 async fn create_named_by_service(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
-    // A random name: after a restart it does not lead to a world of somebody else.
-    let name = format!("w{:016x}", RandomState::new().build_hasher().finish());
+    // A random name: after a restart it does not lead to a world of somebody else. With a key the same one each time.
+    let name = match &change.key {
+        Some(Ok(key)) => key.world_name(app.secret),
+        Some(Err(_)) | None => format!("w{:016x}", random()),
+    };
     create(&app, &name, &change)
 }
 
@@ -195,6 +199,13 @@ async fn create_world(State(app): State<Arc<App>>, change: Change) -> Result<Res
 }
 
 fn create(app: &App, name: &str, change: &Change) -> Result<Response, Problem> {
+    let existing = app.worlds.get(name);
+    let key = change.key.as_ref().map(|key| key.as_ref().map_err(Clone::clone)).transpose()?;
+    if let (Some(any), Some(key)) = (&existing, key)
+        && let Attempt::Again(reply) = with_slot!(any, slot => slot.answers.attempt(key))?
+    {
+        return Ok(reply.into_response());
+    }
     let body = if change.body.is_empty() { b"{}" } else { change.body.as_ref() };
     let parsed = json::parse::<Object<CreateWorld<'_>>>(body);
     if let Err(problem) = &parsed
@@ -202,8 +213,7 @@ fn create(app: &App, name: &str, change: &Change) -> Result<Response, Problem> {
     {
         return Err(problem.clone());
     }
-    let exists = app.worlds.get(name).is_some();
-    if exists {
+    if existing.is_some() {
         return Err(world_exists(name));
     }
     change.preconditions.check_absent()?;
@@ -214,14 +224,15 @@ fn create(app: &App, name: &str, change: &Change) -> Result<Response, Problem> {
         return Err(Problem::new(Code::InvalidWorldName, detail));
     }
     match body.precision.map_or(Precision::default(), |Named(precision)| precision) {
-        Precision::Single => insert(app, name, &body, AnySlot::Single),
-        Precision::Double => insert(app, name, &body, AnySlot::Double),
+        Precision::Single => insert(app, name, key, &body, AnySlot::Single),
+        Precision::Double => insert(app, name, key, &body, AnySlot::Double),
     }
 }
 
 fn insert<R: WireReal>(
     app: &App,
     name: &str,
+    key: Option<&Key>,
     body: &CreateWorld<'_>,
     any: impl FnOnce(Arc<Slot<R>>) -> AnySlot,
 ) -> Result<Response, Problem> {
@@ -240,14 +251,19 @@ fn insert<R: WireReal>(
         World::with_limits(settings, app.config.limits()).map_err(|error| Problem::from_engine(error, Shape::World))?;
     world.set_threads(&app.shared.threads);
     let answer = json::write(&Description::new(name, &world));
-    app.worlds.insert(name, any(Arc::new(Slot::new(name, world, &app.shared)))).map_err(|refused| match refused {
+    let reply = Reply::created(Some(format!("/v1/worlds/{name}")), answer).at(0);
+    let slot = Slot::new(name, world, &app.shared);
+    if let Some(key) = key {
+        slot.keep_first(key, &reply)?;
+    }
+    app.worlds.insert(name, any(Arc::new(slot))).map_err(|refused| match refused {
         Refused::Exists => world_exists(name),
         Refused::Full => {
             let detail = format!("there are {} worlds, the most allowed (--{WORLDS_MAX})", app.config.worlds_max);
             Problem::new(Code::LimitReached, detail)
         }
     })?;
-    Ok(Reply::created(Some(format!("/v1/worlds/{name}")), answer).into_response(Some(0)))
+    Ok(reply.into_response())
 }
 
 fn world_exists(name: &str) -> Problem {
@@ -280,7 +296,7 @@ async fn describe_world(State(app): State<Arc<App>>, read: Read) -> Result<Respo
     let any = app.slot(&read.target)?;
     let query = read.query::<NoParameters>();
     let name = read.target.world.clone();
-    with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query, |_, _| Cost::default(), move |world, _, _| {
+    with_slot!(any, slot => slot.read(&read, query, |_, _| Cost::default(), move |world, _, _| {
         Ok(json::write(&Description::new(&name, world)))
     }).await)
 }
@@ -295,7 +311,7 @@ async fn digest_world(State(app): State<Arc<App>>, read: Read) -> Result<Respons
     let any = app.slot(&read.target)?;
     let query = read.query::<NoParameters>();
     // A particle takes 0.15 µs, and 0.8 where the CPU has no instructions for SHA.
-    with_slot!(any, slot => slot.read(&read.target, &read.preconditions, query,
+    with_slot!(any, slot => slot.read(&read, query,
         |world, _| Cost::of_reading(64 * world.particle_count() as u64),
         |world, _, _| Ok(json::write(&DigestBody {
             digest: world.digest().to_string(),
@@ -347,5 +363,5 @@ async fn delete_world(State(app): State<Arc<App>>, change: Change) -> Result<Res
     let any = app.slot(&change.target)?;
     let query = change.query::<NoParameters>().map(|_| ());
     let forget = || app.worlds.remove(&change.target.world);
-    with_slot!(any, slot => slot.remove(&change.target, &change.preconditions, query, forget).await)
+    with_slot!(any, slot => slot.remove(&change, query, forget).await)
 }
