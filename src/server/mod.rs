@@ -3,6 +3,7 @@
 //! [`Config`] says how, [`App`] holds the worlds, [`router`] is the service as a function of requests, [`serve`] puts
 //! it behind [`Listener`]s.
 
+mod access;
 mod config;
 mod extract;
 mod front;
@@ -30,8 +31,8 @@ use axum::body::Bytes;
 use tower_http::catch_panic::CatchPanicLayer;
 use utoipa_axum::router::OpenApiRouter;
 
+pub use access::{AccessError, Tokens};
 pub use config::{Cli, Command, Config, LogFormat};
-pub use front::{AccessError, Tokens};
 pub use healthcheck::healthcheck;
 pub use listen::{ListenError, Listener, serve};
 
@@ -117,7 +118,7 @@ fn with_layers(routes: Router<Arc<App>>, app: &Arc<App>) -> Router {
         .fallback(|| async { Problem::plain(Code::UnknownRoute) })
         .method_not_allowed_fallback(|| async { Problem::plain(Code::MethodNotAllowed) })
         .layer(CatchPanicLayer::custom(front::on_panic));
-    let routes = match front::cors(&app.config) {
+    let routes = match access::cors(&app.config) {
         Some(cors) => routes.layer(cors),
         None => routes,
     };
