@@ -1,10 +1,12 @@
-//! The `pointmass` binary: reads its configuration, listens, ends on SIGTERM or SIGINT. Decides nothing.
+//! The `pointmass` binary: reads its configuration, listens, reads its tokens again on SIGHUP, ends on SIGTERM or
+//! SIGINT. Decides nothing.
 
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
+use std::sync::Arc;
 
 use clap::Parser;
-use pointmass::server::{App, Cli, Command, Config, Listener, LogFormat, healthcheck, serve};
+use pointmass::server::{App, Cli, Command, Config, Listener, LogFormat, Tokens, healthcheck, serve};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
@@ -22,8 +24,9 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(config: Config) -> Result<(), String> {
+fn run(mut config: Config) -> Result<(), String> {
     log_to_standard_error(&config)?;
+    config.tokens = Tokens::from_environment().map_err(|error| error.to_string())?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(config.workers)
         .max_blocking_threads(config.blocking_threads())
@@ -39,6 +42,7 @@ fn run(config: Config) -> Result<(), String> {
 async fn listen(config: Config) -> Result<(), String> {
     let app = App::new(config.clone()).map_err(|error| error.to_string())?;
     let mut signals = Signals::new().map_err(|error| format!("cannot wait for signals: {error}"))?;
+    let mut hangup = signal(SignalKind::hangup()).map_err(|error| format!("cannot wait for signals: {error}"))?;
     let mut listeners = Vec::new();
     for address in &config.listen {
         listeners.push(Listener::bind(address, &config).await.map_err(|error| error.to_string())?);
@@ -49,6 +53,14 @@ async fn listen(config: Config) -> Result<(), String> {
         // Nobody may be reading; that is no reason to stop.
         let _closed = writeln!(out, "pointmass listening on {url}").and_then(|()| out.flush());
     }
+    let reloading = Arc::clone(&app);
+    tokio::spawn(async move {
+        while hangup.recv().await.is_some() {
+            let app = Arc::clone(&reloading);
+            // No request waits for a file system that is slow.
+            let _reloaded = tokio::task::spawn_blocking(move || app.reload_tokens()).await;
+        }
+    });
     let (finish, finished) = tokio::sync::oneshot::channel();
     tokio::spawn(async move {
         signals.next().await;
@@ -85,7 +97,9 @@ impl Signals {
 
 fn log_to_standard_error(config: &Config) -> Result<(), String> {
     let filter = EnvFilter::try_new(&config.log).map_err(|error| format!("--log {:?}: {error}", config.log))?;
-    let logs = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    // Where a log line cannot be written, as to a terminal that was closed, there is nobody to tell.
+    let logs =
+        tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).log_internal_errors(false);
     match config.log_format {
         LogFormat::Text => logs.with_ansi(std::io::stderr().is_terminal()).init(),
         LogFormat::Json => logs.json().init(),

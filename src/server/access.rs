@@ -1,17 +1,21 @@
 //! Who may come in: hosts, origins, tokens. Decided by the head of a request, before its body is read.
 
+use std::fs::File;
+use std::io::Read;
 use std::net::{IpAddr, Ipv6Addr};
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
+use std::sync::PoisonError;
 use std::sync::atomic::Ordering;
 
 use axum::extract::{MatchedPath, Request};
 use axum::http::{HeaderMap, HeaderValue, Method, Version, header};
 use sha2::{Digest, Sha256};
-use subtle::ConstantTimeEq;
+use subtle::{Choice, ConstantTimeEq};
 use tower_http::cors::{AllowHeaders, Any, CorsLayer};
 
 use crate::server::App;
-use crate::server::config::Config;
+use crate::server::config::{Config, READ_ONLY_TOKEN, TOKEN};
 use crate::server::front::REQUEST_ID;
 use crate::server::problem::{Code, Problem};
 
@@ -38,7 +42,7 @@ pub(crate) fn admit(app: &App, request: &Request, route: Option<&MatchedPath>) -
     // What explains a refusal is no secret either.
     let open = health || route.is_some_and(|route| route.as_str() == "/problems/{code}");
     match &app.tokens {
-        Some(tokens) if !open && !tokens.admit(headers) => Err(Problem::plain(Code::Unauthorized)),
+        Some(tokens) if !open => tokens.read().unwrap_or_else(PoisonError::into_inner).admit(request),
         Some(_) | None => Ok(()),
     }
 }
@@ -115,16 +119,21 @@ pub(crate) fn cors(config: &Config) -> Option<CorsLayer> {
 }
 
 /// The tokens that open the service; only their hashes are kept.
-#[derive(Clone)]
-pub struct Tokens(Vec<[u8; 32]>);
+#[derive(Clone, Default)]
+pub struct Tokens {
+    full: Vec<Hash>,
+    read_only: Vec<Hash>,
+}
+
+type Hash = [u8; 32];
 
 impl std::fmt::Debug for Tokens {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} tokens", self.0.len())
+        write!(f, "{} full and {} read-only", self.full.len(), self.read_only.len())
     }
 }
 
-/// Why tokens could not be read.
+/// Why tokens could not be read. Never has the text in question: most of it may be a token.
 #[derive(Debug, thiserror::Error)]
 pub enum AccessError {
     /// The file.
@@ -141,33 +150,125 @@ pub enum AccessError {
         /// Its path.
         path: String,
     },
+    /// What stands in place of a token can be none.
+    #[error(
+        "{place} is not a token: printable ASCII characters without spaces, before which a token file may have \
+         `read-only`"
+    )]
+    Malformed {
+        /// Where it stands.
+        place: String,
+    },
 }
+
+/// Characters of a token that is hard to find by trying. Shorter ones are warned of, not refused: a service that only
+/// its own machine reaches may do with less.
+const LONG_ENOUGH: usize = 16;
 
 impl Tokens {
-    /// Reads a file with one token a line; blank lines and lines that begin with `#` do not count.
+    /// Tokens of the environment: `POINTMASS_TOKEN` and `POINTMASS_READ_ONLY_TOKEN`, each a list with commas.
     ///
     /// # Errors
-    /// When the file cannot be read, or has no token.
-    pub fn read(path: &Path) -> Result<Self, AccessError> {
-        let shown = path.display().to_string();
-        let text =
-            std::fs::read_to_string(path).map_err(|source| AccessError::Unreadable { path: shown.clone(), source })?;
-        let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
-        let tokens: Vec<[u8; 32]> = lines.map(hash).collect();
-        if tokens.is_empty() { Err(AccessError::Empty { path: shown }) } else { Ok(Self(tokens)) }
+    /// When a variable is set and part of it is not a token: an empty one does not open the service to everyone.
+    pub fn from_environment() -> Result<Self, AccessError> {
+        let list = |name: &str| -> Result<Vec<Hash>, AccessError> {
+            let Some(text) = std::env::var_os(name) else { return Ok(Vec::new()) };
+            let place = format!("what {name} has");
+            text.to_string_lossy().split(',').map(|token| accept(token.trim(), &place)).collect()
+        };
+        Ok(Self { full: list(TOKEN)?, read_only: list(READ_ONLY_TOKEN)? })
     }
 
-    /// Whether the request carries one of them. Takes the same time for every wrong token.
-    fn admit(&self, headers: &HeaderMap) -> bool {
-        let given = headers.get(header::AUTHORIZATION).and_then(|value| value.to_str().ok());
-        let Some((scheme, token)) = given.and_then(|value| value.split_once(' ')) else { return false };
+    /// Reads a file with one token a line, or `read-only` and a token; blank lines and lines that begin with `#` do not
+    /// count.
+    ///
+    /// # Errors
+    /// When the file cannot be read, has no token, or a line that is none.
+    pub fn read(path: &Path) -> Result<Self, AccessError> {
+        let shown = path.display().to_string();
+        let unreadable = |source| AccessError::Unreadable { path: shown.clone(), source };
+        let mut file = File::open(path).map_err(unreadable)?;
+        // Warned of only: the secrets of a container are often open to everyone in it.
+        let mode = file.metadata().map_err(unreadable)?.permissions().mode();
+        if mode & 0o077 != 0 {
+            tracing::warn!(path = shown, mode = format!("{:o}", mode & 0o777), "others can open the token file");
+        }
+        let mut text = String::new();
+        file.read_to_string(&mut text).map_err(unreadable)?;
+        let mut tokens = Self::default();
+        for (number, line) in (1..).zip(text.lines()).filter(|(_, line)| !line.trim_start().starts_with('#')) {
+            let place = format!("line {number} of the token file {shown}");
+            match line.split_whitespace().collect::<Vec<_>>()[..] {
+                [] => {}
+                ["read-only", token] => tokens.read_only.push(accept(token, &place)?),
+                [token] if token != "read-only" => tokens.full.push(accept(token, &place)?),
+                _ => return Err(AccessError::Malformed { place }),
+            }
+        }
+        if tokens.is_empty() { Err(AccessError::Empty { path: shown }) } else { Ok(tokens) }
+    }
+
+    /// Those that a configuration brings and those of its file.
+    pub(crate) fn of(config: &Config) -> Result<Self, AccessError> {
+        let mut tokens = config.token_file.as_deref().map(Self::read).transpose()?.unwrap_or_default();
+        tokens.full.extend(&config.tokens.full);
+        tokens.read_only.extend(&config.tokens.read_only);
+        Ok(tokens)
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.full.is_empty() && self.read_only.is_empty()
+    }
+
+    /// Whether the request carries one of them that is good for it. Takes the same time for every wrong token.
+    fn admit(&self, request: &Request) -> Result<(), Problem> {
+        let given = request.headers().get(header::AUTHORIZATION).and_then(|value| value.to_str().ok());
+        let bearer = given.and_then(|value| value.split_once(' '));
+        let Some((_, token)) = bearer.filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer")) else {
+            return Err(Problem::plain(Code::Unauthorized));
+        };
         let given = hash(token.trim());
-        let known = self.0.iter().fold(subtle::Choice::from(0), |known, token| known | token.ct_eq(&given));
-        scheme.eq_ignore_ascii_case("bearer") && bool::from(known)
+        let is_among = |hashes: &[Hash]| {
+            bool::from(hashes.iter().fold(Choice::from(0), |found, known| found | known.ct_eq(&given)))
+        };
+        match (is_among(&self.full), is_among(&self.read_only)) {
+            (false, false) => Err(Problem::plain(Code::Unauthorized)),
+            // Also of one that is listed as both.
+            (_, true) if !request.method().is_safe() => Err(Problem::plain(Code::ReadOnlyToken)),
+            _ => Ok(()),
+        }
     }
 }
 
-fn hash(token: &str) -> [u8; 32] {
+impl App {
+    /// Reads the token file again: its old tokens are good no more, its new ones are. When it cannot be read or has no
+    /// token, all stay as they are, and the log says why.
+    pub fn reload_tokens(&self) {
+        let (Some(tokens), Some(_)) = (&self.tokens, &self.config.token_file) else {
+            return tracing::warn!("there is no token file to read again");
+        };
+        match Tokens::of(&self.config) {
+            Ok(new) => {
+                let shown = format!("{new:?}");
+                *tokens.write().unwrap_or_else(PoisonError::into_inner) = new;
+                tracing::info!(tokens = shown, "read the token file again");
+            }
+            Err(error) => tracing::error!(%error, "the tokens stay as they were"),
+        }
+    }
+}
+
+fn accept(token: &str, place: &str) -> Result<Hash, AccessError> {
+    if token.is_empty() || !token.bytes().all(|byte| byte.is_ascii_graphic()) {
+        return Err(AccessError::Malformed { place: place.to_owned() });
+    }
+    if token.len() < LONG_ENOUGH {
+        tracing::warn!("{place} is a token of fewer than {LONG_ENOUGH} characters: it may be guessed");
+    }
+    Ok(hash(token))
+}
+
+fn hash(token: &str) -> Hash {
     Sha256::digest(token.as_bytes()).into()
 }
 

@@ -9,6 +9,7 @@ use clap::{Args, FromArgMatches, Parser, Subcommand};
 use tokio::sync::Semaphore;
 
 use crate::error::Limits;
+use crate::server::access::Tokens;
 
 /// The names of the flags that refusals point to.
 pub(crate) const PARTICLES_MAX: &str = "particles-max";
@@ -24,6 +25,10 @@ pub(crate) const DURATION_MAX: &str = "duration-max";
 pub(crate) const URI_BYTES_MAX: &str = "uri-bytes-max";
 pub(crate) const HEADER_BYTES_MAX: &str = "header-bytes-max";
 
+/// Variables without a flag: every user of a machine can see the arguments of a process.
+pub(crate) const TOKEN: &str = "POINTMASS_TOKEN";
+pub(crate) const READ_ONLY_TOKEN: &str = "POINTMASS_READ_ONLY_TOKEN";
+
 /// The largest body where it cannot speak of many particles.
 pub(crate) const SMALL_BODY_BYTES_MAX: usize = 1 << 20;
 
@@ -32,15 +37,18 @@ pub(crate) const PAGE_MAX: usize = 100_000;
 /// How many come when `limit` is absent.
 pub(crate) const PAGE_DEFAULT: usize = 1000;
 
+const AFTER_HELP: &str = "\
+Without a command it serves. Every option has an environment variable; a flag wins over it.\n\
+POINTMASS_TOKEN and POINTMASS_READ_ONLY_TOKEN, each a list with commas, are tokens besides those of --token-file.\n\
+Example: pointmass --listen 127.0.0.1:9000 --listen unix:/run/pointmass.sock";
+
 /// Worlds of point-mass particles over HTTP.
 #[derive(Debug, Parser)]
 #[command(
     version,
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true,
-    after_help = "\
-Without a command it serves. Every option has an environment variable; a flag wins over it.\n\
-Example: pointmass --listen 127.0.0.1:9000 --listen unix:/run/pointmass.sock"
+    after_help = AFTER_HELP
 )]
 pub struct Cli {
     #[command(subcommand)]
@@ -53,6 +61,7 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Listen and answer until SIGTERM or SIGINT, then finish what is in flight and exit with 0.
+    #[command(after_help = AFTER_HELP)]
     Serve(Box<Config>),
     /// Exit with 0 when a service answers, with 1 when not.
     Healthcheck {
@@ -94,9 +103,13 @@ pub struct Config {
     /// A web origin, like <https://example.org>, whose pages may use the service; repeatable.
     #[arg(long, value_name = "ORIGIN", env = "POINTMASS_ALLOW_ORIGIN", value_delimiter = ',', value_parser = origin)]
     pub allow_origin: Vec<String>,
-    /// A file with one token a line; every request but health checks must carry one of them.
+    /// A file with one token a line, or `read-only` and a token; every request but health checks must carry one of
+    /// them. SIGHUP reads it again.
     #[arg(long, value_name = "PATH", env = "POINTMASS_TOKEN_FILE")]
     pub token_file: Option<PathBuf>,
+    /// Tokens besides those of the file; those of the environment, for example.
+    #[arg(skip)]
+    pub tokens: Tokens,
     /// Listen beyond loopback without tokens: whoever reaches the port may do everything.
     #[arg(long, env = "POINTMASS_INSECURE_NO_AUTH", value_parser = BoolishValueParser::new())]
     pub insecure_no_auth: bool,
@@ -198,6 +211,11 @@ impl Default for Config {
 }
 
 impl Config {
+    /// Whether requests must carry a token.
+    pub(crate) fn has_tokens(&self) -> bool {
+        self.token_file.is_some() || !self.tokens.is_empty()
+    }
+
     pub(crate) fn limits(&self) -> Limits {
         Limits {
             particles: self.particles_max,

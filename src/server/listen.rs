@@ -45,8 +45,8 @@ pub enum ListenError {
     },
     /// Reachable from elsewhere, and nobody is asked who they are.
     #[error(
-        "{address} is reachable from other machines: give --token-file, or --insecure-no-auth if everyone who can \
-         reach it may use it"
+        "{address} is reachable from other machines: give --token-file or POINTMASS_TOKEN, or --insecure-no-auth if \
+         everyone who can reach it may use it"
     )]
     Open {
         /// As given.
@@ -75,7 +75,7 @@ impl Listener {
                 bound => bound.map_err(refused),
             };
         }
-        let open = config.token_file.is_none() && !config.insecure_no_auth;
+        let open = !config.has_tokens() && !config.insecure_no_auth;
         let addresses: Vec<_> = tokio::net::lookup_host(address).await.map_err(refused)?.collect();
         if open && !addresses.iter().all(|address| address.ip().is_loopback()) {
             return Err(ListenError::Open { address: address.to_owned() });

@@ -23,8 +23,8 @@ mod slot;
 mod socket;
 mod wire;
 
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, RwLock};
 
 use axum::Router;
 use axum::body::Bytes;
@@ -46,7 +46,8 @@ use slot::AnySlot;
 #[derive(Debug)]
 pub struct App {
     pub(crate) config: Config,
-    pub(crate) tokens: Option<Tokens>,
+    /// `None`: nobody is asked for one.
+    pub(crate) tokens: Option<RwLock<Tokens>>,
     pub(crate) worlds: Registry<AnySlot>,
     pub(crate) shared: Arc<slot::Shared>,
     pub(crate) metrics: Metrics,
@@ -78,7 +79,7 @@ impl App {
     pub fn new(config: Config) -> Result<Arc<Self>, StartError> {
         let description = documented_routes().to_openapi();
         Ok(Arc::new(Self {
-            tokens: config.token_file.as_deref().map(Tokens::read).transpose()?,
+            tokens: config.has_tokens().then(|| Tokens::of(&config)).transpose()?.map(RwLock::new),
             worlds: Registry::new(config.worlds_max),
             shared: Arc::new(slot::Shared::new(&config).map_err(StartError::Threads)?),
             metrics: Metrics::new(description.paths.paths.keys().cloned()),

@@ -42,7 +42,7 @@ pub(crate) fn document(mut api: OpenApi) -> Vec<u8> {
     components.security_schemes.insert(
         "token".to_owned(),
         RefOr::T(SecurityScheme::Http(
-            HttpBuilder::new().scheme(HttpAuthScheme::Bearer).description(Some("With --token-file only")).build(),
+            HttpBuilder::new().scheme(HttpAuthScheme::Bearer).description(Some("Where the service has tokens")).build(),
         )),
     );
     api.security = Some(vec![SecurityRequirement::default(), SecurityRequirement::new("token", Vec::<String>::new())]);
@@ -161,13 +161,10 @@ pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
     let open = matches!(path, "/healthz" | "/readyz" | "/problems/{code}");
     if !open {
         codes.push(Code::Unauthorized);
+        codes.extend((method != "get").then_some(Code::ReadOnlyToken));
     }
-    if path != "/healthz" {
-        codes.push(Code::ShuttingDown);
-    }
-    if path == "/readyz" || path.starts_with("/v1/") {
-        codes.push(Code::Overloaded);
-    }
+    codes.extend((path != "/healthz").then_some(Code::ShuttingDown));
+    codes.extend((path == "/readyz" || path.starts_with("/v1/")).then_some(Code::Overloaded));
     codes.push(Code::InvalidParameter);
     if matches!(path, "/problems/{code}" | "/docs/{asset}") {
         codes.push(Code::UnknownRoute);
@@ -198,6 +195,13 @@ pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
     if matches!(method, "post" | "put" | "patch") {
         codes.extend([Code::InvalidField, Code::UnknownField, Code::DuplicateField, Code::NotFinite]);
     }
+    codes.extend(of_operation(operation));
+    codes
+}
+
+/// Those of one route, besides what follows from path and method.
+fn of_operation(operation: &str) -> Vec<Code> {
+    let mut codes = Vec::new();
     let masses = [Code::MassNotPositive, Code::InverseMassNegative, Code::MassAndInverseMass];
     let serving = [Code::IntegratorCannotServeDamping, Code::IntegratorCannotServeForces];
     // Among them a coefficient or a mass below 0, and a damping of 0 that the integrator cannot compute with.

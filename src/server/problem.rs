@@ -19,6 +19,7 @@ pub(crate) enum Code {
     HostNotAllowed,
     CrossOrigin,
     Unauthorized,
+    ReadOnlyToken,
     UnknownRoute,
     MethodNotAllowed,
     NotAcceptable,
@@ -67,13 +68,14 @@ pub(crate) enum Code {
 }
 
 impl Code {
-    pub(crate) const ALL: [Self; 51] = [
+    pub(crate) const ALL: [Self; 52] = [
         Self::MalformedRequest,
         Self::UriTooLong,
         Self::HeadersTooLarge,
         Self::HostNotAllowed,
         Self::CrossOrigin,
         Self::Unauthorized,
+        Self::ReadOnlyToken,
         Self::UnknownRoute,
         Self::MethodNotAllowed,
         Self::NotAcceptable,
@@ -154,7 +156,9 @@ impl Code {
             Self::CrossOrigin => ("cross_origin", S::FORBIDDEN, "Request from another origin",
                 "A browser sent this request from another site. Allow that site with --allow-origin."),
             Self::Unauthorized => ("unauthorized", S::UNAUTHORIZED, "No valid token",
-                "Send one of the tokens of --token-file as `Authorization: Bearer TOKEN`."),
+                "Send one of the tokens of the service as `Authorization: Bearer TOKEN`."),
+            Self::ReadOnlyToken => ("read_only_token", S::FORBIDDEN, "The token is read-only",
+                "This token is good for GET and HEAD. A change, a dry run too, needs one that is not read-only."),
             Self::UnknownRoute => ("unknown_route", S::NOT_FOUND, "Unknown route",
                 "There is nothing at this path. GET /openapi.json lists every route."),
             Self::MethodNotAllowed => ("method_not_allowed", S::METHOD_NOT_ALLOWED, "Method not allowed",

@@ -10,7 +10,7 @@ use serde_json::json;
 
 use crate::service::{Client, wait_for_in_flight};
 
-fn pointmass() -> Command {
+pub(crate) fn pointmass() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_pointmass"));
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     command
@@ -24,13 +24,18 @@ fn output(arguments: &[&str]) -> Output {
 pub(crate) struct Running {
     child: Child,
     lines: BufReader<std::process::ChildStdout>,
+    log: Box<dyn BufRead>,
 }
 
 impl Running {
     pub(crate) fn start(mut command: Command) -> Self {
         let mut child = command.spawn().expect("the binary starts");
         let lines = BufReader::new(child.stdout.take().expect("piped"));
-        Self { child, lines }
+        let log: Box<dyn BufRead> = match child.stderr.take() {
+            Some(log) => Box::new(BufReader::new(log)),
+            None => Box::new(std::io::empty()),
+        };
+        Self { child, lines, log }
     }
 
     /// The next start-up line.
@@ -46,17 +51,33 @@ impl Running {
         url.strip_prefix("http://").expect("a TCP listener").parse().expect("an address")
     }
 
-    fn signal(&self, name: &str) {
+    pub(crate) fn signal(&self, name: &str) {
         let kill = format!("kill -{name} {}", self.child.id());
         assert!(Command::new("sh").args(["-c", &kill]).status().expect("a shell").success());
     }
 
-    /// The exit code, what else it wrote to standard output, and its log.
-    fn end(mut self) -> (Option<i32>, String, String) {
+    /// Waits for the next line of the log with these words.
+    #[track_caller]
+    pub(crate) fn logged(&mut self, words: &str) -> String {
+        let mut line = String::new();
+        while !line.contains(words) {
+            line.clear();
+            assert!(self.log.read_line(&mut line).expect("a line") > 0, "it ended without {words:?}");
+        }
+        line
+    }
+
+    /// From now on nobody reads its log.
+    pub(crate) fn close_log(&mut self) {
+        self.log = Box::new(std::io::empty());
+    }
+
+    /// The exit code, what else it wrote to standard output, and the rest of its log.
+    pub(crate) fn end(mut self) -> (Option<i32>, String, String) {
         let status = self.child.wait().expect("it ends");
         let (mut out, mut log) = (String::new(), String::new());
         self.lines.read_to_string(&mut out).expect("text");
-        self.child.stderr.take().expect("piped").read_to_string(&mut log).expect("text");
+        self.log.read_to_string(&mut log).expect("text");
         (status.code(), out, log)
     }
 }
@@ -75,7 +96,7 @@ fn wait_until_draining(address: SocketAddr) {
     assert!((0..100_000).any(|_| client.get("/readyz").status == 503), "the signal never arrived");
 }
 
-fn temporary(name: &str) -> PathBuf {
+pub(crate) fn temporary(name: &str) -> PathBuf {
     std::env::temp_dir().join(format!("pointmass-{}-{name}", std::process::id()))
 }
 
@@ -204,20 +225,27 @@ fn beyond_loopback_it_wants_a_token_or_a_clear_word() {
     let refused = output(&["--listen", "0.0.0.0:0"]);
     assert_eq!(refused.status.code(), Some(1));
     let message = String::from_utf8_lossy(&refused.stderr).into_owned();
-    assert!(message.contains("--token-file") && message.contains("--insecure-no-auth"), "{message}");
+    for way in ["--token-file", "POINTMASS_TOKEN", "--insecure-no-auth"] {
+        assert!(message.contains(way), "{message}");
+    }
     let tokens = temporary("tokens");
     std::fs::write(&tokens, "# none\n").expect("a file");
     let path = tokens.display().to_string();
     let empty = output(&["--listen", "0.0.0.0:0", "--token-file", &path]);
     assert!(String::from_utf8_lossy(&empty.stderr).contains("has no token"));
     std::fs::write(&tokens, "0123456789abcdef0123456789abcdef\n").expect("a file");
-    for arguments in [["--token-file", path.as_str()].as_slice(), &["--insecure-no-auth"]] {
+    for (arguments, variable, status) in [
+        (&["--token-file", path.as_str()][..], None, 401),
+        (&[], Some("POINTMASS_TOKEN"), 401),
+        (&[], Some("POINTMASS_READ_ONLY_TOKEN"), 401),
+        (&["--insecure-no-auth"], None, 200),
+    ] {
         let mut command = pointmass();
         command.args(["--listen", "0.0.0.0:0"]).args(arguments);
+        command.envs(variable.map(|variable| (variable, "0123456789abcdef0123456789abcdef")));
         let mut running = Running::start(command);
         let port = running.address().port();
-        let status = Client::connect(([127, 0, 0, 1], port).into()).get("/v1").status;
-        assert_eq!(status, if arguments.len() == 2 { 401 } else { 200 });
+        Client::connect(([127, 0, 0, 1], port).into()).get("/v1").expect(status);
     }
     std::fs::remove_file(&tokens).expect("ours");
 }
@@ -247,6 +275,7 @@ fn every_option_has_a_variable_and_stands_in_the_help() {
         options += 1;
     }
     assert!(options >= 18, "{options} options in\n{help}");
+    assert!(help.contains("POINTMASS_TOKEN and POINTMASS_READ_ONLY_TOKEN"), "{help}");
     assert!(output(&["--help"]).stdout.starts_with(b"Worlds of point-mass particles over HTTP"));
     assert_eq!(output(&["--version"]).stdout, format!("pointmass {}\n", env!("CARGO_PKG_VERSION")).into_bytes());
 }
@@ -261,6 +290,9 @@ fn wrong_words_are_explained() {
         (&["--threads", "0"], 2, "must be at least 1"),
         (&["--steps-max", "many"], 2, "--steps-max"),
         (&["--listn", "x"], 2, "--listen"),
+        // An argument can be seen by every user of the machine.
+        (&["--token", "x"], 2, "unexpected argument"),
+        (&["--read-only-token", "x"], 2, "unexpected argument"),
         (&["start"], 2, "start"),
         (&["--log", "a=b=c"], 1, "--log"),
         (&["healthcheck", "--url", "ftp://localhost"], 1, "not an http:// URL"),

@@ -12,7 +12,7 @@ fn description(client: &mut Client) -> Value {
 }
 
 /// Path and method of every operation that is described.
-fn operations(description: &Value) -> Vec<(String, String, &Value)> {
+pub(crate) fn operations(description: &Value) -> Vec<(String, String, &Value)> {
     let paths = description["paths"].as_object().expect("paths");
     let of_path = |(path, item): (&String, &'_ Value)| {
         let item = item.as_object().expect("methods");
@@ -150,6 +150,19 @@ fn assert_every_reference_resolves(description: &Value, value: &Value, place: &s
     }
 }
 
+/// The examples of the body that an operation takes, one for each of its shapes.
+pub(crate) fn examples(description: &Value, operation: &Value) -> Vec<Value> {
+    let schema = &operation["requestBody"]["content"]["application/json"]["schema"];
+    let resolve = |schema: &Value| {
+        let reference = schema["$ref"].as_str().map(|reference| reference.trim_start_matches('#').to_owned());
+        reference.map_or_else(|| schema.clone(), |pointer| description.pointer(&pointer).expect("resolves").clone())
+    };
+    let schema = resolve(schema);
+    let shapes =
+        schema["oneOf"].as_array().map_or_else(|| vec![schema.clone()], |shapes| shapes.iter().map(resolve).collect());
+    shapes.iter().map(|shape| shape["example"].clone()).filter(Value::is_object).collect()
+}
+
 /// The examples of requests are taken as they stand, or refused for what they would do, never for their shape.
 #[test]
 fn examples_of_requests_work() {
@@ -160,19 +173,7 @@ fn examples_of_requests_work() {
     client.post("/v1/worlds/a/particles", "{\"count\":3}").expect(201);
     let mut tried = 0;
     for (path, method, operation) in operations(&description) {
-        let schema = &operation["requestBody"]["content"]["application/json"]["schema"];
-        if schema.is_null() {
-            continue;
-        }
-        let resolve = |schema: &Value| {
-            let reference = schema["$ref"].as_str().map(|reference| reference.trim_start_matches('#').to_owned());
-            reference.map_or_else(|| schema.clone(), |pointer| description.pointer(&pointer).expect("resolves").clone())
-        };
-        let schema = resolve(schema);
-        let shapes = schema["oneOf"]
-            .as_array()
-            .map_or_else(|| vec![schema.clone()], |shapes| shapes.iter().map(resolve).collect());
-        for example in shapes.iter().map(|shape| &shape["example"]).filter(|example| example.is_object()) {
+        for example in examples(&description, operation) {
             let world = if method == "put" && path.ends_with("{world}") { "b" } else { "a" };
             let path = path.replace("{world}", world).replace("{id}", "0");
             let answer = client.send(&method.to_uppercase(), &path, &[], Some(example.to_string().as_bytes()));

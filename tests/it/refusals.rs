@@ -464,6 +464,7 @@ fn every_code_is_seen() {
         "uri_too_long",              // connections.rs
         "headers_too_large",         // connections.rs
         "unauthorized",              // access.rs
+        "read_only_token",           // access.rs
         "body_timeout",              // connections.rs
         "body_too_large",            // above
         "shutting_down",             // command_line.rs
@@ -471,7 +472,7 @@ fn every_code_is_seen() {
         "world_quarantined",         // src/server/slot.rs
         "removed_twice",             // no route removes several yet
         "limit_reached",             // above
-        "answer_too_large",          // below
+        "answer_too_large",          // above
         "overloaded",                // overload.rs
         "idempotency_key_in_flight", // retries.rs
         "idempotency_key_reused",    // retries.rs

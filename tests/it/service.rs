@@ -275,7 +275,7 @@ fn check_documented(method: &str, path: &str, answer: &Answer) {
         answer.status,
         answer.text()
     );
-    if answer.header("content-type") == Some("application/problem+json") {
+    if answer.header("content-type") == Some("application/problem+json") && !answer.body.is_empty() {
         let problem = answer.json();
         let code = problem["code"].as_str().expect("a code");
         let codes = response["description"].as_str().expect("a description");
