@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 
 use clap::Parser;
-use pointmass::server::{App, Cli, Command, Config, Listener, LogFormat, Tokens, healthcheck, serve};
+use pointmass::server::{App, Cli, Command, Config, Listener, Log, LogFormat, Tokens, healthcheck, serve};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
@@ -25,7 +25,7 @@ fn main() -> ExitCode {
 }
 
 fn run(mut config: Config) -> Result<(), String> {
-    log_to_standard_error(&config)?;
+    let log = log_to_standard_error(&config)?;
     config.tokens = Tokens::from_environment().map_err(|error| error.to_string())?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(config.workers)
@@ -33,13 +33,14 @@ fn run(mut config: Config) -> Result<(), String> {
         .enable_all()
         .build()
         .map_err(|error| format!("cannot start threads: {error}"))?;
-    let result = runtime.block_on(listen(config));
+    let result = runtime.block_on(listen(config, log.clone()));
     // Whatever still runs has outlasted the drain timeout.
     runtime.shutdown_background();
+    log.flush();
     result
 }
 
-async fn listen(config: Config) -> Result<(), String> {
+async fn listen(config: Config, log: Log) -> Result<(), String> {
     let app = App::new(config.clone()).map_err(|error| error.to_string())?;
     let mut signals = Signals::new().map_err(|error| format!("cannot wait for signals: {error}"))?;
     let mut hangup = signal(SignalKind::hangup()).map_err(|error| format!("cannot wait for signals: {error}"))?;
@@ -67,6 +68,7 @@ async fn listen(config: Config) -> Result<(), String> {
         let _gone = finish.send(());
         signals.next().await;
         tracing::warn!("second signal: stopping at once");
+        log.flush();
         std::process::exit(1);
     });
     serve(listeners, app, async move {
@@ -95,14 +97,13 @@ impl Signals {
     }
 }
 
-fn log_to_standard_error(config: &Config) -> Result<(), String> {
+fn log_to_standard_error(config: &Config) -> Result<Log, String> {
     let filter = EnvFilter::try_new(&config.log).map_err(|error| format!("--log {:?}: {error}", config.log))?;
-    // Where a log line cannot be written, as to a terminal that was closed, there is nobody to tell.
-    let logs =
-        tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).log_internal_errors(false);
+    let log = Log::start().map_err(|error| format!("cannot start threads: {error}"))?;
+    let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(log.clone());
     match config.log_format {
-        LogFormat::Text => logs.with_ansi(std::io::stderr().is_terminal()).init(),
-        LogFormat::Json => logs.json().init(),
+        LogFormat::Text => lines.with_ansi(std::io::stderr().is_terminal()).init(),
+        LogFormat::Json => lines.json().init(),
     }
-    Ok(())
+    Ok(log)
 }

@@ -116,7 +116,7 @@ pub struct Config {
     /// How to write logs to standard error.
     #[arg(long, env = "POINTMASS_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]
     pub log_format: LogFormat,
-    /// What to log, for example info or pointmass=debug (which has a line for every request).
+    /// What to log. `info` has a line for every request, `info,pointmass::access=off` has all but those.
     #[arg(long, value_name = "FILTER", env = "POINTMASS_LOG", default_value = "info")]
     pub log: String,
     /// The most worlds.
@@ -231,14 +231,14 @@ impl Config {
     }
 
     /// How much other work may run at once in the compute pool.
-    pub(crate) fn short_places(&self) -> usize {
+    pub(crate) fn short_places() -> usize {
         (2 * cores()).max(4)
     }
 
     /// Threads of the compute pool: one for each place.
     #[must_use]
     pub fn blocking_threads(&self) -> usize {
-        self.long_places() + self.short_places()
+        self.long_places() + Self::short_places()
     }
 
     pub(crate) fn header_timeout(&self) -> Duration {

@@ -133,8 +133,10 @@ impl FromRequest<Arc<App>> for Change {
             let timeout = state.config.body_timeout_ms;
             Problem::new(Code::BodyTimeout, format!("the body did not arrive within {timeout} ms"))
         })??;
-        let objects = if is_bulk { body.iter().filter(|byte| **byte == b'{').count() as u64 } else { 0 };
-        charge.grow(objects.min(state.config.particles_max) * OBJECT_BYTES)?;
+        if is_bulk {
+            let objects = body.iter().map(|byte| u64::from(*byte == b'{')).sum::<u64>();
+            charge.grow(objects.min(state.config.particles_max) * OBJECT_BYTES)?;
+        }
         Ok(Self {
             target,
             preconditions: Preconditions::new(&parts.headers),

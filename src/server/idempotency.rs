@@ -7,7 +7,7 @@ use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use axum::http::{HeaderMap, HeaderName, Method, Uri, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, Uri, header};
 use sha2::{Digest, Sha256};
 
 use crate::server::problem::{Code, Problem};
@@ -48,7 +48,7 @@ impl Key {
         let target = uri.path_and_query().map_or("", |target| target.as_str());
         for part in [method.as_str().as_bytes(), target.as_bytes()]
             .into_iter()
-            .chain(headers.get_all(header::IF_MATCH).iter().map(|value| value.as_bytes()))
+            .chain(headers.get_all(header::IF_MATCH).iter().map(HeaderValue::as_bytes))
             .chain([body])
         {
             request.update((part.len() as u64).to_le_bytes());
@@ -60,7 +60,8 @@ impl Key {
     /// A name for the world that a request with this key creates: the same each time, and not to be guessed.
     pub(crate) fn world_name(&self, secret: u64) -> String {
         let name = Sha256::new().chain_update(secret.to_le_bytes()).chain_update(self.name).finalize();
-        format!("w{}", name[..16].iter().map(|byte| format!("{byte:02x}")).collect::<String>())
+        let half: [u8; 16] = std::array::from_fn(|k| name[k]);
+        format!("w{:032x}", u128::from_be_bytes(half))
     }
 }
 

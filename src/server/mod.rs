@@ -11,6 +11,7 @@ mod healthcheck;
 mod idempotency;
 mod json;
 mod listen;
+mod log;
 mod memory;
 mod metrics;
 mod openapi;
@@ -35,6 +36,7 @@ pub use access::{AccessError, Tokens};
 pub use config::{Cli, Command, Config, LogFormat};
 pub use healthcheck::healthcheck;
 pub use listen::{ListenError, Listener, serve};
+pub use log::{Log, Writer};
 
 use crate::registry::Registry;
 use extract::Target;

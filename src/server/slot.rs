@@ -122,7 +122,7 @@ impl Shared {
             in_flight: Memory::of_requests(config.in_flight_bytes_max),
             threads: Threads::new(config.threads)?,
             short_places: Places::new(
-                config.short_places(),
+                Config::short_places(),
                 Bounds { patience: Duration::from_millis(config.shed_after_ms), what: "a processor", ..places },
             ),
             long_places: Places::new(config.long_places(), places),
@@ -146,10 +146,12 @@ impl Shared {
 
     /// The places of work that does not run on the spot.
     fn places(&self, work: u64) -> Option<&Places> {
-        match work {
-            ..=INLINE_WORK => None,
-            ..=LONG_WORK => Some(&self.short_places),
-            _ => Some(&self.long_places),
+        if work <= INLINE_WORK {
+            None
+        } else if work <= LONG_WORK {
+            Some(&self.short_places)
+        } else {
+            Some(&self.long_places)
         }
     }
 

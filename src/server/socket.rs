@@ -16,7 +16,7 @@ use crate::server::problem::{Code, Problem};
 
 /// A socket with deadlines, whose bare refusals are told as problems.
 pub(crate) struct Socket<S> {
-    socket: S,
+    inner: S,
     app: Arc<App>,
     activity: Arc<Activity>,
     /// How many requests had begun when this was last looked at.
@@ -100,9 +100,9 @@ impl Deadline {
 }
 
 impl<S> Socket<S> {
-    pub(crate) fn new(socket: S, app: Arc<App>, activity: Arc<Activity>) -> Self {
+    pub(crate) fn new(inner: S, app: Arc<App>, activity: Arc<Activity>) -> Self {
         Self {
-            socket,
+            inner,
             app,
             activity,
             begun: 0,
@@ -203,7 +203,7 @@ impl<S: AsyncWrite + Unpin> Socket<S> {
     fn poll_instead(&mut self, context: &mut Context<'_>) -> Poll<io::Result<()>> {
         if let Some((bytes, written)) = &mut self.instead {
             while *written < bytes.len() {
-                *written += ready!(Pin::new(&mut self.socket).poll_write(context, &bytes[*written..]))?;
+                *written += ready!(Pin::new(&mut self.inner).poll_write(context, &bytes[*written..]))?;
             }
         }
         Poll::Ready(Ok(()))
@@ -216,7 +216,7 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for Socket<S> {
             self.replace(bytes);
         }
         let poll = if self.instead.is_none() {
-            Pin::new(&mut self.socket).poll_write(context, bytes)
+            Pin::new(&mut self.inner).poll_write(context, bytes)
         } else {
             self.poll_instead(context).map_ok(|()| bytes.len())
         };
@@ -232,27 +232,27 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for Socket<S> {
         if self.instead.is_some() || self.is_bare(first) {
             return self.poll_write(context, first);
         }
-        let poll = Pin::new(&mut self.socket).poll_write_vectored(context, slices);
+        let poll = Pin::new(&mut self.inner).poll_write_vectored(context, slices);
         self.check_writing(context, poll)
     }
 
     fn is_write_vectored(&self) -> bool {
-        self.socket.is_write_vectored()
+        self.inner.is_write_vectored()
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.socket).poll_flush(context)
+        Pin::new(&mut self.inner).poll_flush(context)
     }
 
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.socket).poll_shutdown(context)
+        Pin::new(&mut self.inner).poll_shutdown(context)
     }
 }
 
 impl<S: AsyncRead + Unpin> AsyncRead for Socket<S> {
     fn poll_read(mut self: Pin<&mut Self>, context: &mut Context<'_>, into: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let before = into.filled().len();
-        let poll = Pin::new(&mut self.socket).poll_read(context, into);
+        let poll = Pin::new(&mut self.inner).poll_read(context, into);
         self.check_reading(context, poll, &into.filled()[before..])
     }
 }

@@ -321,3 +321,49 @@ fn healthcheck_tells_by_its_exit_code() {
     assert_eq!(gone.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&gone.stderr).contains("does not answer"));
 }
+
+/// One line for each request, with what leads from it to the client and its trace, and nothing that is a secret.
+#[test]
+fn every_request_has_a_line_in_the_log() {
+    for (arguments, logged) in
+        [(&["--log-format", "json"][..], true), (&["--log", "info,pointmass::access=off"], false)]
+    {
+        let mut command = pointmass();
+        command.args(["--listen", "127.0.0.1:0"]).args(arguments);
+        let mut service = Running::start(command);
+        let mut client = Client::connect(service.address());
+        let trace = ("traceparent", "00-0af7651916cd43dd8448eb211c80319c-b7ad6b7169203331-01");
+        let id = ("x-request-id", "mine");
+        client
+            .send("PUT", "/v1/worlds/a?secret=1", &[trace, id, ("authorization", "Bearer hush")], Some(b"{}"))
+            .expect(422);
+        client.send("GET", "/v1/worlds", &[("traceparent", "00-0-0-01")], None).expect(200);
+        drop(client);
+        service.signal("TERM");
+        let (code, _, log) = service.end();
+        assert_eq!(code, Some(0));
+        assert!(!log.contains("hush") && !log.contains("secret"), "{log}");
+        let lines: Vec<serde_json::Value> = log
+            .lines()
+            .filter(|line| line.contains("pointmass::access"))
+            .map(|line| serde_json::from_str(line).expect("JSON"))
+            .collect();
+        assert_eq!(lines.len(), if logged { 2 } else { 0 }, "{log}");
+        let [first, second] = &lines[..] else { continue };
+        assert_eq!(first["level"], "INFO");
+        let fields = &first["fields"];
+        assert!(fields["duration_us"].is_u64());
+        for (name, value) in [
+            ("request_id", json!("\"mine\"")),
+            ("trace_id", json!("0af7651916cd43dd8448eb211c80319c")),
+            ("parent_id", json!("b7ad6b7169203331")),
+            ("method", json!("PUT")),
+            ("path", json!("/v1/worlds/a")),
+            ("route", json!("/v1/worlds/{world}")),
+            ("status", json!(422)),
+        ] {
+            assert_eq!(fields[name], value, "{name} in {first}");
+        }
+        assert!(second["fields"]["trace_id"].is_null(), "{second}");
+    }
+}

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::service::Service;
+use crate::service::{Client, Service};
 
 #[test]
 fn a_slow_body_is_given_up() {
@@ -147,4 +147,47 @@ fn heads_that_are_too_long_are_refused() {
     assert_eq!((answer.status, answer.json()["code"].as_str()), (431, Some("headers_too_large")));
     assert!(answer.text().contains("--header-bytes-max"));
     client.get("/v1").expect(200);
+}
+
+/// Bytes of the frame of settings that an HTTP/2 service sends first: pairs of a number and a value.
+fn http2_settings(client: &mut Client) -> Vec<(u16, u32)> {
+    client.raw(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0");
+    let head = client.bytes(9);
+    assert_eq!(head[3], 4, "a frame of settings");
+    let pairs = client.bytes(usize::from(head[2]));
+    pairs
+        .chunks_exact(6)
+        .map(|pair| (u16::from_be_bytes([pair[0], pair[1]]), u32::from_be_bytes([pair[2], pair[3], pair[4], pair[5]])))
+        .collect()
+}
+
+#[test]
+fn http2_is_spoken_to_those_who_know_beforehand() {
+    let service = Service::with(|config| {
+        config.streams_max = 7;
+        config.header_bytes_max = 5000;
+        config.idle_timeout_ms = 500;
+    });
+    let url = format!("http://{}/v1/worlds/a", service.address);
+    let curl = |arguments: &[&str]| {
+        let output = std::process::Command::new("curl")
+            .args(["-s", "--http2-prior-knowledge", "-w", "%{http_version} %{http_code}"])
+            .args(arguments)
+            .output()
+            .expect("curl is installed");
+        String::from_utf8(output.stdout).expect("text")
+    };
+    assert!(curl(&["-X", "PUT", &url]).ends_with("2 201"));
+    assert!(
+        curl(&[&format!("{url}/particles"), "-d", r#"{"count":20000,"velocity":[0.1,0.2,0.3]}"#]).ends_with("2 201")
+    );
+    assert!(curl(&[&format!("{url}/advance"), "-d", r#"{"duration":0.5}"#]).ends_with("2 200"));
+    assert!(curl(&[&format!("{url}/advance"), "-d", "{"]).ends_with("2 400"));
+    let state = curl(&[&format!("{url}/state")]);
+    assert_eq!(state.strip_suffix("2 200"), Some(service.client().get("/v1/worlds/a/state").text()));
+    let mut idle = service.client();
+    let settings = http2_settings(&mut idle);
+    assert!(settings.contains(&(3, 7)) && settings.contains(&(6, 5000)), "{settings:?}");
+    idle.impatient(Duration::from_secs(20));
+    assert!(idle.is_closed(), "no request came");
 }

@@ -409,7 +409,7 @@ fn memory_is_charged_before_it_is_taken() {
 #[test]
 fn answers_and_simulated_seconds_have_a_limit() {
     let service = Service::with(|config| {
-        config.answer_bytes_max = 10_000;
+        config.answer_bytes_max = 12_000;
         config.duration_max = Some(100.0);
     });
     let mut client = service.client();

@@ -171,6 +171,14 @@ impl Client {
         self.stream.get_mut().set_read_timeout(Some(patience)).expect("a socket");
     }
 
+    /// Reads so many bytes.
+    #[track_caller]
+    pub(crate) fn bytes(&mut self, count: usize) -> Vec<u8> {
+        let mut bytes = vec![0; count];
+        self.stream.read_exact(&mut bytes).expect("as many");
+        bytes
+    }
+
     /// Reads to the end, and whether there was one before patience ended.
     pub(crate) fn is_closed(&mut self) -> bool {
         self.stream.read_to_end(&mut Vec::new()).is_ok()
