@@ -15,7 +15,7 @@ use crate::ids::ParticleId;
 use crate::server::App;
 use crate::server::config::{BODY_BYTES_MAX, PAGE_DEFAULT, PAGE_MAX, SMALL_BODY_BYTES_MAX};
 use crate::server::idempotency::Key;
-use crate::server::memory::{Charge, OBJECT_BYTES, PARSED_BYTES};
+use crate::server::memory::{Charge, OBJECT_BYTES, PARSED_BYTES, objects};
 use crate::server::problem::{Code, Problem};
 
 /// The names in the path.
@@ -134,8 +134,8 @@ impl FromRequest<Arc<App>> for Change {
             Problem::new(Code::BodyTimeout, format!("the body did not arrive within {timeout} ms"))
         })??;
         if is_bulk {
-            let objects = body.iter().map(|byte| u64::from(*byte == b'{')).sum::<u64>();
-            charge.grow(objects.min(state.config.particles_max) * OBJECT_BYTES)?;
+            // More of them than particles in a world are refused before they are parsed.
+            charge.grow(objects(&body).min(state.config.particles_max) * OBJECT_BYTES)?;
         }
         Ok(Self {
             target,

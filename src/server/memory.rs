@@ -29,6 +29,11 @@ pub(crate) const PARSED_BYTES: u64 = 8;
 /// What an object in a body becomes: a particle with all of its properties.
 pub(crate) const OBJECT_BYTES: u64 = 256;
 
+/// At least as many as there are objects in a body.
+pub(crate) fn objects(body: &[u8]) -> u64 {
+    body.iter().map(|byte| u64::from(*byte == b'{')).sum()
+}
+
 /// A budget of bytes.
 #[derive(Debug)]
 pub(crate) struct Memory {

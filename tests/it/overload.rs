@@ -109,3 +109,17 @@ fn requests_in_flight_share_a_budget() {
     }
     assert!(client.get("/metrics").text().contains("\npointmass_in_flight_charged_bytes 0\n"));
 }
+
+/// A list of more particles than may be is refused before it takes the memory of that many.
+#[test]
+fn what_a_list_becomes_is_known_before_it_is_parsed() {
+    let service = Service::with(|config| config.particles_max = 10);
+    let mut client = service.client();
+    client.put("/v1/worlds/a", "").expect(201);
+    let list = |count: usize, end: &str| format!("[{}{{}}{end}", "{},".repeat(count - 1));
+    let refused = client.post("/v1/worlds/a/particles", &list(1_000_000, "]")).expect(422);
+    assert_eq!(refused.json()["code"], "limit_reached");
+    assert!(refused.text().contains("--particles-max"));
+    client.post("/v1/worlds/a/particles", &list(11, "")).expect(400);
+    client.post("/v1/worlds/a/particles", &list(10, "]")).expect(201);
+}

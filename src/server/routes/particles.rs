@@ -4,17 +4,19 @@ use std::sync::Arc;
 
 use axum::extract::State;
 use axum::response::Response;
+use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use crate::column::Column;
 use crate::command::{Command, NewParticles, Outcome, Properties};
+use crate::error::{Error, Limit};
 use crate::ids::ParticleId;
 use crate::server::App;
 use crate::server::extract::{Change, NoParameters, Read, page_limit};
 use crate::server::json::{self, Element, Object, Vector, WireReal, present};
-use crate::server::memory::PARTICLE_BYTES;
+use crate::server::memory::{PARTICLE_BYTES, objects};
 use crate::server::problem::{Code, Problem, Shape};
 use crate::server::reply::Reply;
 use crate::server::routes::{apply_to_many, many, whole};
@@ -125,7 +127,8 @@ async fn create_particles(State(app): State<Arc<App>>, change: Change) -> Result
     let any = app.slot(&change.target)?;
     let name = change.target.world.clone();
     with_slot!(any, slot => {
-        let parsed = app.shared.parse(change.body.clone(), read_new).await;
+        let most = app.config.particles_max;
+        let parsed = app.shared.parse(change.body.clone(), move |body| read_new(body, most)).await;
         let cost = |_: &World<_>, new: &New<_>| {
             let count = new.particles.count as u64;
             Cost { bytes: count.saturating_mul(PARTICLE_BYTES), ..Cost::of(count) }
@@ -151,8 +154,15 @@ struct New<R: WireReal> {
     shape: Shape,
 }
 
-fn read_new<R: WireReal>(body: &[u8]) -> Result<New<R>, Problem> {
+fn read_new<R: WireReal>(body: &[u8], most: u64) -> Result<New<R>, Problem> {
     if body.trim_ascii_start().starts_with(b"[") {
+        // Before they take a hundred times as much memory as their text.
+        let asked = objects(body);
+        if asked > most {
+            json::parse::<IgnoredAny>(body)?;
+            let refused = Error::LimitReached { limit: Limit::Particles, asked, allowed: most };
+            return Err(Problem::from_engine(refused, Shape::List));
+        }
         let particles = ParticleBody::list(json::parse(body)?)?;
         return Ok(New { particles, shape: Shape::List });
     }
