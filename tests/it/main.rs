@@ -17,6 +17,8 @@ mod contract;
 mod digest;
 /// Drag and gravitation, and what came with them, over HTTP.
 mod forces;
+/// The stepped integrators as the book writes them.
+mod formulas;
 /// Pinned digests of seeded scenes: the same bits on every machine, and from one version to the next.
 mod golden;
 /// The service against the library, to the bit.

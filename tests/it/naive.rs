@@ -1,5 +1,4 @@
-//! The stepped integrators transcribed from their formulas as plainly as they can be said, one particle and one step at
-//! a time. Every world must agree with it to the bit: whatever the engine skips or shares must not show.
+//! Every world must agree with the formulas to the bit: whatever the engine skips or shares must not show.
 
 use std::collections::HashMap;
 
@@ -8,18 +7,8 @@ use pointmass::{
     Selection, Settings, World,
 };
 
+use crate::formulas::{Naive, advance};
 use crate::physics::{REFERENCE, Random, check_bits, scene};
-
-/// A particle and the force on it, in the letters of the formulas.
-#[derive(Debug, Clone, Copy)]
-struct Naive<R> {
-    p: [R; 3],
-    v: [R; 3],
-    own: Option<[R; 3]>,
-    d: R,
-    w: R,
-    f: [R; 3],
-}
 
 /// dʰ rounded once to double, by the bits of d and h: tests/reference/motion.py has them from 80 digits.
 fn powers() -> HashMap<(u64, u64), f64> {
@@ -27,62 +16,6 @@ fn powers() -> HashMap<(u64, u64), f64> {
     let lines = REFERENCE.lines().filter_map(|line| line.strip_prefix("power "));
     let words = lines.map(|line| line.split(' ').map(bits).collect::<Vec<u64>>());
     words.map(|words| ((words[0], words[1]), f64::from_bits(words[2]))).collect()
-}
-
-/// One advance of one particle, as the specification says it (Millington, chapter 3).
-fn advance<R: Real>(
-    particle: &mut Naive<R>,
-    settings: &Settings<R>,
-    powers: &HashMap<(u64, u64), f64>,
-    duration: f64,
-    steps: u32,
-) {
-    let Naive { p, v, own, d, w, f } = particle;
-    let a = own.unwrap_or(if *w == R::ZERO { [R::ZERO; 3] } else { settings.gravity.into() });
-    if *w == R::ZERO && *v == [R::ZERO; 3] && a == [R::ZERO; 3] {
-        *f = [R::ZERO; 3];
-        return;
-    }
-    let h = R::nearest(duration / f64::from(steps));
-    let (d64, h64): (f64, f64) = ((*d).into(), h.into());
-    let factor = match settings.damping_law {
-        DampingLaw::PerStep => *d,
-        DampingLaw::PerSecond if d64 <= 0.0 || d64 >= 1.0 => *d,
-        DampingLaw::PerSecond => R::nearest(powers[&(d64.to_bits(), h64.to_bits())]),
-    };
-    let rest = match R::PRECISION {
-        Precision::Single => 2f64.powi(-100),
-        Precision::Double => 2f64.powi(-960),
-    };
-    for step in 1..=steps {
-        for k in 0..3 {
-            let total = a[k] + *w * f[k];
-            match settings.integrator {
-                Integrator::NewtonEuler => {
-                    p[k] = p[k] + v[k] * h;
-                    v[k] = v[k] + total * h;
-                    v[k] = v[k] * factor;
-                }
-                Integrator::NewtonEulerQuadratic => {
-                    p[k] = (p[k] + v[k] * h) + total * (h * h * R::HALF);
-                    v[k] = v[k] + total * h;
-                    v[k] = v[k] * factor;
-                }
-                Integrator::SemiImplicitEuler => {
-                    v[k] = (v[k] + total * h) * factor;
-                    p[k] = p[k] + v[k] * h;
-                }
-                Integrator::Exact | Integrator::VelocityVerlet | Integrator::Rk4 | Integrator::Dop853 => {
-                    unreachable!("only Euler's kind is transcribed")
-                }
-            }
-            let magnitude: f64 = v[k].abs().into();
-            if d64 < 1.0 && (step % 64 == 0 || step == steps) && magnitude < rest {
-                v[k] = v[k] * R::ZERO; // A zero of its own sign.
-            }
-        }
-    }
-    *f = [R::ZERO; 3];
 }
 
 /// tests/reference/motion.py has the same two lists, and the powers of every pair in both precisions.
@@ -122,6 +55,7 @@ fn particle<R: Real>(random: &mut Random) -> Naive<R> {
 fn check_agrees<R: Real>(integrator: Integrator, damping_law: DampingLaw, seed: u64) {
     let random = &mut Random(seed);
     let powers = powers();
+    let power = |d: f64, h: f64| powers[&(d.to_bits(), h.to_bits())];
     let gravity = [R::ZERO, R::nearest(-9.80665), R::nearest(0.1)];
     let settings = Settings { integrator, damping_law, gravity: gravity.into(), ..Settings::default() };
     let mut model: Vec<Naive<R>> = (0..300).map(|_| particle(random)).collect();
@@ -162,7 +96,7 @@ fn check_agrees<R: Real>(integrator: Integrator, damping_law: DampingLaw, seed: 
         let report = world.advance(how).expect("nothing is large enough to overflow");
         assert_eq!(report.steps, u64::from(steps), "{at}");
         for (naive, state) in model.iter_mut().zip(world.particles()) {
-            advance(naive, &settings, &powers, duration, steps);
+            advance(naive, &settings, power, R::nearest(duration / f64::from(steps)), steps);
             check_bits(&at, state.id, "position", naive.p, state.position);
             check_bits(&at, state.id, "velocity", naive.v, state.velocity);
             check_bits(&at, state.id, "force", naive.f, state.force);
@@ -197,7 +131,7 @@ fn a_long_advance_rests_where_the_formulas_do() {
             let mut world = World::<R>::new(settings).expect("valid settings");
             let id = world.create(Particle { velocity: v.into(), damping: d, ..Particle::default() }).expect("valid");
             world.advance(Advance { steps: Some(50_000), ..Advance::by(50_000.0) }).expect("finite");
-            advance(&mut naive, &settings, &HashMap::new(), 50_000.0, 50_000);
+            advance(&mut naive, &settings, |_, _| unreachable!("the law is per step"), R::ONE, 50_000);
             let state = world.particle(id).expect("created above");
             let scene = scene::<R>(&format!("a long way to rest, {n}"), integrator);
             check_bits(&scene, id, "position", naive.p, state.position);
