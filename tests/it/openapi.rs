@@ -73,6 +73,30 @@ fn every_route_of_the_contract_is_described() {
     assert_eq!(described, contract);
 }
 
+/// The fuzzer starts inside every route.
+#[test]
+fn every_route_has_a_seed() {
+    let seeds = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds/requests");
+    let files =
+        std::fs::read_dir(seeds).expect("the seeds of the fuzz target").map(|file| file.expect("a file").path());
+    let text: String = files.map(|file| std::fs::read_to_string(file).expect("text")).collect();
+    let requests: Vec<(&str, Vec<&str>)> = text
+        .lines()
+        .filter_map(|line| line.split_once(" /"))
+        .map(|(method, path)| (method, path.split('?').next().unwrap_or_default().split('/').collect()))
+        .collect();
+    let service = Service::start();
+    for (path, method, _) in operations(&description(&mut service.client())) {
+        let parts: Vec<&str> = path[1..].split('/').collect();
+        let fits = |other: &[&str]| {
+            other.len() == parts.len()
+                && parts.iter().zip(other).all(|(part, other)| part.starts_with('{') || part == other)
+        };
+        let found = requests.iter().any(|(verb, other)| verb.eq_ignore_ascii_case(&method) && fits(other));
+        assert!(found, "fuzz/seeds/requests has no {method} {path}");
+    }
+}
+
 /// The router has what is described, and under no other method.
 #[test]
 fn description_and_router_have_the_same_methods() {
