@@ -1,0 +1,167 @@
+//! What was measured, beside what was asked for: for people, as CSV, and as a page.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use crate::load::Latencies;
+use crate::table::{aligned, digits, grouped, time};
+use crate::{Case, host, plot};
+
+/// Collects figures and failed checks.
+#[derive(Debug)]
+pub(crate) struct Bench {
+    measuring: bool,
+    /// The one that runs.
+    pub(crate) case: &'static str,
+    pub(crate) figures: Vec<Figure>,
+    pub(crate) failures: Vec<String>,
+    /// Of the light worlds beside whatever a case does, for the plot.
+    pub(crate) light: Vec<(&'static str, Latencies)>,
+}
+
+#[derive(Debug)]
+pub(crate) struct Figure {
+    case: &'static str,
+    what: String,
+    value: f64,
+    unit: Unit,
+    target: Option<Target>,
+}
+
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Unit {
+    Seconds,
+    PerSecond,
+    Count,
+    Bytes,
+    Ratio,
+    Percent,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Target {
+    AtLeast(f64),
+    AtMost(f64),
+}
+
+impl Bench {
+    pub(crate) fn new(measuring: bool) -> Self {
+        Self { measuring, case: "", figures: Vec::new(), failures: Vec::new(), light: Vec::new() }
+    }
+
+    /// The first when it measures, the second when it only checks.
+    pub(crate) fn size<T>(&self, measuring: T, checking: T) -> T {
+        if self.measuring { measuring } else { checking }
+    }
+
+    /// What has to hold at any speed.
+    pub(crate) fn check(&mut self, holds: bool, otherwise: impl FnOnce() -> String) {
+        if !holds {
+            self.failures.push(format!("{}: {}", self.case, otherwise()));
+        }
+    }
+
+    pub(crate) fn record(&mut self, what: impl Into<String>, value: f64, unit: Unit) -> &mut Figure {
+        self.figures.push(Figure { case: self.case, what: what.into(), value, unit, target: None });
+        self.figures.last_mut().expect("it was put there above")
+    }
+
+    /// Median, p99 and p99.9.
+    pub(crate) fn record_latencies(&mut self, what: &str, latencies: &Latencies) {
+        for (name, share) in [("median", 0.5), ("p99", 0.99), ("p99.9", 0.999)] {
+            self.record(format!("{what}, {name}"), latencies.within(share), Unit::Seconds);
+        }
+    }
+}
+
+impl Figure {
+    pub(crate) fn at_least(&mut self, target: f64) {
+        self.target = Some(Target::AtLeast(target));
+    }
+
+    pub(crate) fn at_most(&mut self, target: f64) {
+        self.target = Some(Target::AtMost(target));
+    }
+
+    fn row(&self) -> [String; 4] {
+        let show = |value| self.unit.show(value);
+        let (target, is_met) = match self.target {
+            Some(Target::AtLeast(target)) => (format!("≥ {}", show(target)), self.value >= target),
+            Some(Target::AtMost(target)) => (format!("≤ {}", show(target)), self.value <= target),
+            None => return [self.what.clone(), String::new(), show(self.value), String::new()],
+        };
+        [self.what.clone(), target, show(self.value), if is_met { "yes" } else { "no" }.to_owned()]
+    }
+}
+
+impl Unit {
+    fn show(self, value: f64) -> String {
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "counts")]
+        let count = || grouped(value.round() as usize);
+        match self {
+            _ if value.is_nan() => "–".to_owned(),
+            Self::Seconds => time(1e9 * value),
+            Self::PerSecond => format!("{} /s", count()),
+            Self::Count => count(),
+            Self::Bytes => format!("{} MiB", digits(value / f64::from(1 << 20))),
+            Self::Ratio => format!("{}×", digits(value)),
+            Self::Percent => format!("{:.1} %", 100.0 * value),
+        }
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Seconds => "s",
+            Self::PerSecond => "1/s",
+            Self::Count | Self::Ratio | Self::Percent => "1",
+            Self::Bytes => "B",
+        }
+    }
+}
+
+pub(crate) fn table(case: &Case, figures: &[Figure]) -> String {
+    let mut rows = vec![["figure", "target", "measured", "met"].map(str::to_owned).to_vec()];
+    rows.extend(figures.iter().filter(|figure| figure.case == case.name).map(|figure| figure.row().to_vec()));
+    aligned(&rows)
+}
+
+/// Writes `docs/load.md`, `docs/load.csv` and the plot.
+pub(crate) fn write(cases: &[Case], bench: &Bench) -> Result<(), Box<dyn std::error::Error>> {
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
+    let mut page =
+        String::from("# Load and faults\n\nWritten by `cargo bench --bench load`; `load.csv` has every number.\n\n");
+    for (what, value) in host::description() {
+        writeln!(page, "* {what}: {value}")?;
+    }
+    page.push_str(METHOD);
+    write!(page, "\n![{}](load.svg)\n\n{}\n", plot::TITLE, plot::CAPTION)?;
+    let mut csv = String::from("case,figure,unit,measured,at_least,at_most\n");
+    for case in cases {
+        write!(page, "\n## {}\n\n{}\n\n{}", case.title, case.note, table(case, &bench.figures))?;
+    }
+    for figure in &bench.figures {
+        let (least, most) = match figure.target {
+            Some(Target::AtLeast(target)) => (target.to_string(), String::new()),
+            Some(Target::AtMost(target)) => (String::new(), target.to_string()),
+            None => (String::new(), String::new()),
+        };
+        let Figure { case, what, value, unit, .. } = figure;
+        writeln!(csv, "{case},\"{what}\",{},{value:.6},{least},{most}", unit.name())?;
+    }
+    plot::draw(&docs.join("load.svg"), &bench.light)?;
+    std::fs::write(docs.join("load.md"), page)?;
+    std::fs::write(docs.join("load.csv"), csv)?;
+    println!("\nwritten: docs/load.md, docs/load.csv and the plot");
+    Ok(())
+}
+
+const METHOD: &str = "
+The service is the program that users run, in a process of its own; its clients are on the same machine and take their
+share of its cores. A load goes by the clock: a latency counts from the moment when the schedule has a request, not from
+when a connection was free to send it, and includes the time until the client is awake. What is compared ran in turns. The
+machine may have been shared, so ratios hold better than times.
+
+Every case also checks what it was answered, and writes nothing when a check fails: each accepted advance was applied
+once, each world told its revisions without a gap, and at the end it is, to the bit, the world that the library makes of as
+many advances.
+";
