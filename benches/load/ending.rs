@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use pointmass::Advance;
 
 use crate::Case;
-use crate::client::{Address, Client, request};
+use crate::client::{Address, request};
 use crate::load::{Load, Outcome, Samples, sleep_until};
 use crate::report::{Bench, Unit};
 use crate::server::Server;
@@ -26,8 +26,9 @@ const RATE: f64 = 1000.0;
 
 fn run(bench: &mut Bench) {
     let rounds = bench.size(5, 1);
-    let ends: Vec<f64> = (0..rounds).map(|_| terminate(bench)).collect();
-    bench.record("from SIGTERM to the exit", median(ends.into_iter()), Unit::Seconds);
+    let ends: Vec<[f64; 2]> = (0..rounds).map(|_| terminate(bench)).collect();
+    bench.record("from SIGTERM to the exit", median(ends.iter().map(|end| end[0])), Unit::Seconds);
+    bench.record("of that, after the last long answer", median(ends.iter().map(|end| end[1])), Unit::Seconds);
     let starts: Vec<f64> = (0..rounds).map(|_| kill(bench)).collect();
     bench.record("from SIGKILL to the first answer of the next one", median(starts.into_iter()), Unit::Seconds);
 }
@@ -36,15 +37,13 @@ fn load<'a>(address: &'a Address, worlds: &'a Worlds, start: Instant, seconds: f
     Load { address, connections: CONNECTIONS, rate: Some(RATE), start, seconds, requests: &worlds.advances }
 }
 
-/// How long it took to end.
-fn terminate(bench: &mut Bench) -> f64 {
+/// How long it took to end, and how much of that was after the answer to the last long advance.
+fn terminate(bench: &mut Bench) -> [f64; 2] {
     let mut server = Server::start(&[]);
     let address = server.address().clone();
-    let mut client = server.client();
-    let worlds = Worlds::create(&mut client, "light", CONNECTIONS, 100, Advance::by(TICK));
+    let worlds = Worlds::create(&server, "light", CONNECTIONS, 100, Advance::by(TICK));
     let long = Advance { steps: Some(bench.size(100_000, 20_000)), ..Advance::by(1.0) };
-    let long = Worlds::create(&mut client, "long", 2, 20_000, long);
-    drop(client);
+    let long = Worlds::create(&server, "long", 2, 20_000, long);
     let start = Instant::now() + Duration::from_millis(20);
     let moment = bench.size(0.5, 0.2);
     let long_start = start + Duration::from_secs_f64(moment - 0.1);
@@ -71,7 +70,9 @@ fn terminate(bench: &mut Bench) -> f64 {
     let wrong = light.count(|outcome| matches!(outcome, Outcome::Answered(_)));
     bench.check(wrong == 0, || format!("{wrong} answers were neither 200 nor 503"));
     check_some_accepted(bench, &worlds, &light);
-    end
+    let last = finished.0.iter().map(|sample| sample.intended + sample.latency).fold(0.0, f64::max);
+    let last = long_start + Duration::from_secs_f64(last);
+    [end, end - last.saturating_duration_since(signalled).as_secs_f64()]
 }
 
 /// How long nobody was answered.
@@ -79,7 +80,7 @@ fn kill(bench: &mut Bench) -> f64 {
     let mut server = Server::start(&[]);
     let Address::Tcp(socket) = server.address().clone() else { panic!("a TCP listener") };
     let address = Address::Tcp(socket);
-    let worlds = Worlds::create(&mut server.client(), "light", CONNECTIONS, 100, Advance::by(TICK));
+    let worlds = Worlds::create(&server, "light", CONNECTIONS, 100, Advance::by(TICK));
     let start = Instant::now() + Duration::from_millis(20);
     let moment = bench.size(0.5, 0.2);
     let (samples, next, seconds) = std::thread::scope(|scope| {
@@ -100,10 +101,9 @@ fn kill(bench: &mut Bench) -> f64 {
     let wrong = samples.count(|outcome| matches!(outcome, Outcome::Answered(status) if status != 404));
     bench.check(wrong == 0, || format!("{wrong} answers were neither 200, 404 nor 503"));
     check_some_accepted(bench, &worlds, &samples);
-    let mut client = Client::new(next.address());
-    let again = Worlds::create(&mut client, "light", CONNECTIONS, 100, Advance::by(TICK));
+    let again = Worlds::create(&next, "light", CONNECTIONS, 100, Advance::by(TICK));
     let samples = load(next.address(), &again, Instant::now(), 0.1).run();
-    again.check(bench, &mut client, &[&samples]);
+    again.check(bench, &next, &[&samples]);
     seconds
 }
 

@@ -43,7 +43,7 @@ impl Random {
 fn run(bench: &mut Bench) {
     let mut server = Server::start(&["--header-timeout-ms", "2000", "--body-timeout-ms", "2000"]);
     let mut client = server.client();
-    let mut light = Light::create(&mut client);
+    let mut light = Light::create(&server);
     client.expect(&request("PUT", "/v1/worlds/victim", r#"{"integrator":"newton_euler"}"#), 201);
     client.expect(&request("POST", "/v1/worlds/victim/particles", r#"{"count":10}"#), 201);
     let alone = light.run(bench, &server, "before malformed requests", bench.size(4.0, 0.2));
@@ -74,7 +74,7 @@ fn run(bench: &mut Bench) {
     bench.check(defects == 0, || format!("{defects} answers were 5xx"));
     bench.check(refused > count / 2, || format!("only {refused} of {count} were refused"));
     bench.check(server.is_well(), || "the service does not answer any more".to_owned());
-    light.check(bench, &mut server.client());
+    light.check(bench, &server);
 }
 
 fn malformed(random: &mut Random) -> Vec<u8> {

@@ -40,8 +40,7 @@ impl PerWorld<'_> {
 fn run(bench: &mut Bench) {
     let all = bench.size(1000, 20);
     let server = Server::start(&[]);
-    let mut client = server.client();
-    let worlds = Worlds::create(&mut client, "small", all, 100, Advance::by(TICK));
+    let worlds = Worlds::create(&server, "small", all, 100, Advance::by(TICK));
     let way = PerWorld { server: &server, worlds: &worlds };
 
     let mut runs = vec![way.run(all, bench.size(6.0, 0.2))];
@@ -70,7 +69,7 @@ fn run(bench: &mut Bench) {
     bench.record_latencies("worlds that hold", &held);
     let faults: usize = runs.iter().map(Samples::faults).sum();
     bench.check(faults == 0, || format!("{faults} requests were answered with neither 200 nor 503"));
-    worlds.check(bench, &mut client, &runs.iter().collect::<Vec<_>>());
+    worlds.check(bench, &server, &runs.iter().collect::<Vec<_>>());
 }
 
 fn lost(samples: &Samples) -> usize {

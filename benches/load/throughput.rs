@@ -84,6 +84,7 @@ fn run(bench: &mut Bench) {
     let ratios = local.iter().zip(&tcp).map(|(local, tcp)| local / tcp);
     bench.record("Unix socket / TCP", median(ratios), Unit::Ratio).at_most(0.85);
 
+    let mut client = ours.client();
     let world = client.expect(&request("GET", "/v1/worlds/empty", ""), 200).json();
     let is_right = world["revision"] == accepted && world["step_count"] == accepted;
     bench.check(is_right, || format!("after {accepted} accepted advances the world is {world}"));

@@ -2,9 +2,10 @@
 
 use pointmass::{Advance, Command, DVec3, Integrator, NewParticles, Particle, Settings, World};
 
-use crate::client::{Client, request};
+use crate::client::request;
 use crate::load::{Outcome, Samples};
 use crate::report::Bench;
+use crate::server::Server;
 
 /// A tick of a game, in seconds.
 pub(crate) const TICK: f64 = 1.0 / 60.0;
@@ -22,7 +23,8 @@ pub(crate) struct Worlds {
 
 impl Worlds {
     /// Each of so many particles, which `newton_euler` has to move at every step.
-    pub(crate) fn create(client: &mut Client, name: &str, count: usize, particles: usize, advance: Advance) -> Self {
+    pub(crate) fn create(server: &Server, name: &str, count: usize, particles: usize, advance: Advance) -> Self {
+        let mut client = server.client();
         let gravity = DVec3::new(0.0, -10.0, 0.0);
         let settings = Settings { integrator: Integrator::NewtonEuler, gravity, ..Settings::default() };
         let mut twin = World::new(settings).expect("valid settings");
@@ -48,10 +50,11 @@ impl Worlds {
 
     /// Each world went through as many revisions as advances were accepted, each of which was told one of them; and its
     /// state is, to the bit, that of a world that is advanced so often here.
-    pub(crate) fn check(&self, bench: &mut Bench, client: &mut Client, samples: &[&Samples]) {
+    pub(crate) fn check(&self, bench: &mut Bench, server: &Server, samples: &[&Samples]) {
+        let mut client = server.client();
         let first = self.twin.revision();
-        let mut revisions = self.check_answers(bench, samples);
-        let mut worlds: Vec<(usize, &String)> = revisions.drain(..).zip(&self.names).collect();
+        let mut worlds: Vec<(usize, &String)> =
+            self.check_answers(bench, samples).into_iter().zip(&self.names).collect();
         worlds.sort_unstable();
         let (mut twin, mut advanced) = (self.twin.clone(), 0);
         for (accepted, name) in worlds {
