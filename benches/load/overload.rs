@@ -14,7 +14,7 @@ pub(crate) const OVERLOAD: Case = Case {
     name: "overload",
     title: "Three times the capacity offered",
     note: "64 worlds of 10,000 particles, 2,000 steps in each advance, some milliseconds in the compute pool. Capacity: \
-           eight connections that ask again when they are answered, before and after; the larger counts. Between, three \
+           16 connections that ask again when they are answered, before and after; the larger counts. Between, three \
            times the first by the clock, on as many as 384 connections; a request that finds none free for a second is \
            given up. Goodput is accepted requests of \
            a second. The budget of memory is what the particles are charged with. Normal again: ten requests in a row, \
@@ -36,7 +36,7 @@ fn run(bench: &mut Bench) {
     };
     let now = Instant::now;
 
-    let closed = |bench: &Bench| load(8, None, now(), bench.size(4.0, 0.2));
+    let closed = |bench: &Bench| load(16, None, now(), bench.size(4.0, 0.2));
     let first = closed(bench);
     let capacity = first.throughput();
     let probes = |start, seconds| load(1, Some(50.0), start, seconds);
