@@ -11,6 +11,8 @@ use crate::{Case, host, plot};
 #[derive(Debug)]
 pub(crate) struct Bench {
     measuring: bool,
+    /// How many threads of the machine wanted to run before there was a load of ours, on average of a minute.
+    others: String,
     /// The one that runs.
     pub(crate) case: &'static str,
     pub(crate) figures: Vec<Figure>,
@@ -46,7 +48,9 @@ enum Target {
 
 impl Bench {
     pub(crate) fn new(measuring: bool) -> Self {
-        Self { measuring, case: "", figures: Vec::new(), failures: Vec::new(), light: Vec::new() }
+        let average = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
+        let others = average.split(' ').next().unwrap_or_default().to_owned();
+        Self { measuring, others, case: "", figures: Vec::new(), failures: Vec::new(), light: Vec::new() }
     }
 
     /// The first when it measures, the second when it only checks.
@@ -133,6 +137,7 @@ pub(crate) fn write(cases: &[Case], bench: &Bench) -> Result<(), Box<dyn std::er
     for (what, value) in host::description() {
         writeln!(page, "* {what}: {value}")?;
     }
+    writeln!(page, "* load average before the run: {}", bench.others)?;
     page.push_str(METHOD);
     write!(page, "\n![{}](load.svg)\n\n{}\n", plot::TITLE, plot::CAPTION)?;
     let mut csv = String::from("case,figure,unit,measured,at_least,at_most\n");
@@ -146,7 +151,7 @@ pub(crate) fn write(cases: &[Case], bench: &Bench) -> Result<(), Box<dyn std::er
             None => (String::new(), String::new()),
         };
         let Figure { case, what, value, unit, .. } = figure;
-        writeln!(csv, "{case},\"{what}\",{},{value:.6},{least},{most}", unit.name())?;
+        writeln!(csv, "{case},\"{what}\",{},{value:.9},{least},{most}", unit.name())?;
     }
     plot::draw(&docs.join("load.svg"), &bench.light)?;
     std::fs::write(docs.join("load.md"), page)?;
