@@ -1,6 +1,6 @@
 //! The service under load and under faults, over loopback, as the process that its users run.
 //!
-//! `cargo bench --bench load` takes about five minutes, prints a table and writes `docs/load.md`, `docs/load.csv` and the
+//! `cargo bench --bench load` takes about three minutes, prints a table and writes `docs/load.md`, `docs/load.csv` and the
 //! plot. `cargo bench --bench load -- fairness` runs one case and writes nothing. Without `--bench`, as in `cargo test`,
 //! everything runs once at small size. Every case checks what it was answered, in both ways; a case that fails is named,
 //! and the process ends with an error. A figure that misses its target is told, and is no failure.
