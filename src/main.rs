@@ -1,6 +1,7 @@
 //! The `pointmass` binary: reads its configuration, listens, reads its tokens again on SIGHUP, ends on SIGTERM or
 //! SIGINT. Decides nothing.
 
+use std::fmt::Debug;
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -8,7 +9,11 @@ use std::sync::Arc;
 use clap::Parser;
 use pointmass::server::{App, Cli, Command, Config, Listener, Log, LogFormat, Tokens, healthcheck, serve};
 use tokio::signal::unix::{SignalKind, signal};
+use tracing::field::Field;
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::field::MakeExt;
+use tracing_subscriber::fmt::FormatFields;
+use tracing_subscriber::fmt::format::{self, Writer};
 
 fn main() -> ExitCode {
     let result = match Cli::parse().command() {
@@ -102,8 +107,17 @@ fn log_to_standard_error(config: &Config) -> Result<Log, String> {
     let log = Log::start().map_err(|error| format!("cannot start threads: {error}"))?;
     let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(log.clone());
     match config.log_format {
-        LogFormat::Text => lines.with_ansi(std::io::stderr().is_terminal()).init(),
+        // Without styles for names and equal signs, which take longer than all the rest of a line.
+        LogFormat::Text => lines.with_ansi(std::io::stderr().is_terminal()).fmt_fields(fields()).init(),
         LogFormat::Json => lines.json().init(),
     }
     Ok(log)
+}
+
+fn fields() -> impl for<'w> FormatFields<'w> {
+    let field = |writer: &mut Writer<'_>, field: &Field, value: &dyn Debug| match field.name() {
+        "message" => write!(writer, "{value:?}"),
+        name => write!(writer, "{name}={value:?}"),
+    };
+    format::debug_fn(field).delimited(" ")
 }

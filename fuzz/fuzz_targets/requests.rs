@@ -6,11 +6,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
 
-use axum::Router;
 use axum::body::{Body, Bytes, to_bytes};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, Request, StatusCode, Uri, header};
 use libfuzzer_sys::{Corpus, fuzz_target};
-use pointmass::server::{App, Config, router};
+use pointmass::server::{App, Config, Front, service};
 use serde_json::Value;
 use tokio::runtime::{Builder, Runtime};
 use tower::ServiceExt;
@@ -32,7 +31,7 @@ const NULLABLE: [&str; 9] = [
 
 struct Service {
     runtime: Runtime,
-    router: Router,
+    service: Front,
     /// The worlds as every input finds them.
     fresh: BTreeMap<String, World>,
 }
@@ -68,7 +67,7 @@ impl Service {
         };
         let app = App::new(config).expect("no token file");
         let runtime = Builder::new_current_thread().enable_time().build().expect("a runtime");
-        let mut service = Self { router: router(&app), runtime, fresh: BTreeMap::new() };
+        let mut service = Self { service: service(&app), runtime, fresh: BTreeMap::new() };
         for request in requests(WORLDS) {
             let answer = service.send(request);
             assert!(answer.status.is_success(), "{answer:?}");
@@ -80,7 +79,7 @@ impl Service {
     fn send(&self, request: Request<Bytes>) -> Answer {
         let request = request.map(Body::from);
         let (parts, body) = self.runtime.block_on(async {
-            let (parts, body) = self.router.clone().oneshot(request).await.expect("infallible").into_parts();
+            let (parts, body) = self.service.clone().oneshot(request).await.expect("infallible").into_parts();
             (parts, to_bytes(body, usize::MAX).await.expect("in memory"))
         });
         Answer { status: parts.status, headers: parts.headers, body }

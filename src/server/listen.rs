@@ -2,26 +2,27 @@
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
+use std::convert::Infallible;
 use std::io;
-use std::net::IpAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use axum::Router;
-use hyper::service::{Service, service_fn};
+use axum::body::Body;
+use hyper::body::Incoming;
+use hyper::service::service_fn;
 use hyper_util::rt::{TokioExecutor, TokioIo};
 use hyper_util::server::conn::auto;
 use hyper_util::server::graceful::GracefulShutdown;
-use hyper_util::service::TowerToHyperService;
 use tokio::io::{AsyncRead, AsyncWrite};
-use tokio::net::{TcpListener, UnixListener, UnixStream};
+use tokio::net::{TcpListener, TcpSocket, UnixListener, UnixStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio::task::JoinSet;
 
 use crate::server::socket::{Activity, Socket};
-use crate::server::{App, Config, router};
+use crate::server::{App, Config, Front, service};
 
 /// A socket that accepts connections.
 #[derive(Debug)]
@@ -80,7 +81,14 @@ impl Listener {
         if open && !addresses.iter().all(|address| address.ip().is_loopback()) {
             return Err(ListenError::Open { address: address.to_owned() });
         }
-        Ok(Self::Tcp(TcpListener::bind(addresses.as_slice()).await.map_err(refused)?))
+        let mut failure = io::Error::new(io::ErrorKind::NotFound, "the name has no address");
+        for address in addresses {
+            match listen_on(address, config) {
+                Ok(listener) => return Ok(Self::Tcp(listener)),
+                Err(error) => failure = error,
+            }
+        }
+        Err(refused(failure))
     }
 
     /// Where it listens: `http://host:port` with the port that the system chose for port 0, or `unix:PATH`.
@@ -94,6 +102,18 @@ impl Listener {
         }
     }
 }
+
+/// A socket with room for as many clients that wait to be accepted as may be connected: where the system has less, a
+/// client whose call is dropped tries again after a second.
+fn listen_on(address: SocketAddr, config: &Config) -> io::Result<TcpListener> {
+    let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }?;
+    socket.set_reuseaddr(true)?;
+    socket.bind(address)?;
+    socket.listen(u32::try_from(config.connections_max).unwrap_or(u32::MAX).min(BACKLOG_MAX))
+}
+
+/// The system takes no more anyway.
+const BACKLOG_MAX: u32 = 4096;
 
 /// A socket that only its owner can use. One that a dead process left behind is taken over.
 async fn bind_unix(path: &Path) -> io::Result<Listener> {
@@ -147,7 +167,7 @@ pub async fn serve(listeners: Vec<Listener>, app: Arc<App>, shutdown: impl Futur
 /// What every connection gets.
 struct Connections {
     app: Arc<App>,
-    router: Router,
+    front: Front,
     protocol: auto::Builder<TokioExecutor>,
     places: Arc<Semaphore>,
     by_address: Arc<ByAddress>,
@@ -199,7 +219,7 @@ impl Connections {
     fn new(app: &Arc<App>) -> Self {
         Self {
             app: Arc::clone(app),
-            router: router(app),
+            front: service(app),
             protocol: protocol(&app.config),
             places: Arc::new(Semaphore::new(app.config.connections_max)),
             by_address: Arc::default(),
@@ -236,14 +256,14 @@ impl Connections {
     fn answer(&self, stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, places: impl Send + 'static) {
         let activity = Arc::<Activity>::default();
         let socket = Socket::new(stream, Arc::clone(&self.app), Arc::clone(&activity));
-        let router = TowerToHyperService::new(self.router.clone());
-        let service = service_fn(move |request| {
+        let front = self.front.clone();
+        let service = service_fn(move |request: hyper::Request<Incoming>| {
             let active = activity.begin();
-            let answer = router.call(request);
+            let answer = front.clone().answer(request.map(Body::new));
             async move {
                 let answer = answer.await;
                 drop(active);
-                answer
+                Ok::<_, Infallible>(answer)
             }
         });
         let connection = self.protocol.serve_connection(TokioIo::new(socket), service).into_owned();

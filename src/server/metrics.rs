@@ -1,11 +1,11 @@
 //! What `/metrics` tells.
 
-use std::collections::HashMap;
+use std::hash::{Hash, Hasher};
 use std::sync::Arc;
 use std::time::Duration;
 
 use axum::http::{Method, StatusCode};
-use prometheus_client::encoding::EncodeLabelSet;
+use prometheus_client::encoding::{EncodeLabelSet, EncodeLabelValue, LabelValueEncoder};
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
@@ -23,13 +23,13 @@ const DURATIONS: [f64; 12] = [5e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3, 5e-3, 16e-
 #[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct Route {
     method: &'static str,
-    route: Arc<str>,
+    route: Template,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct Answer {
     method: &'static str,
-    route: Arc<str>,
+    route: Template,
     status: u16,
 }
 
@@ -38,8 +38,8 @@ struct QueueName {
     queue: &'static str,
 }
 
-/// Counters; clones share them.
-#[derive(Debug, Clone)]
+/// Counters.
+#[derive(Debug)]
 pub(crate) struct Metrics {
     requests: Family<Answer, Counter>,
     durations: Family<Route, Histogram, fn() -> Histogram>,
@@ -49,12 +49,52 @@ pub(crate) struct Metrics {
     particles_skipped: Counter,
     /// Connections that are open.
     pub(crate) connections: Gauge,
-    /// The templates of all routes, as labels.
-    routes: Arc<HashMap<String, Arc<str>>>,
+    routes: matchit::Router<Template>,
+    no_route: Template,
+}
+
+/// The path of a route with names for its parts: `/v1/worlds/{world}`.
+#[derive(Debug, Clone)]
+pub(crate) struct Template {
+    /// By which it is told from the others.
+    number: usize,
+    text: Arc<str>,
+}
+
+impl Template {
+    pub(crate) fn text(&self) -> &str {
+        &self.text
+    }
+}
+
+impl PartialEq for Template {
+    fn eq(&self, other: &Self) -> bool {
+        self.number == other.number
+    }
+}
+
+impl Eq for Template {}
+
+impl Hash for Template {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.number.hash(state);
+    }
+}
+
+impl EncodeLabelValue for Template {
+    fn encode(&self, encoder: &mut LabelValueEncoder<'_>) -> Result<(), std::fmt::Error> {
+        self.text.as_ref().encode(encoder)
+    }
 }
 
 impl Metrics {
-    pub(crate) fn new(routes: impl Iterator<Item = String>) -> Self {
+    /// With the templates of all routes.
+    pub(crate) fn new(templates: impl Iterator<Item = String>) -> Self {
+        let mut routes = matchit::Router::new();
+        for (number, template) in templates.enumerate() {
+            let label = Template { number, text: template.as_str().into() };
+            routes.insert(template, label).expect("the router of the service takes the same templates");
+        }
         Self {
             requests: Family::default(),
             durations: Family::new_with_constructor(|| Histogram::new(DURATIONS)),
@@ -63,18 +103,23 @@ impl Metrics {
             particles_deferred: Counter::default(),
             particles_skipped: Counter::default(),
             connections: Gauge::default(),
-            routes: Arc::new(routes.map(|route| (route.clone(), route.into())).collect()),
+            routes,
+            no_route: Template { number: usize::MAX, text: "none".into() },
         }
     }
 
+    /// That of the route that a path leads to.
+    pub(crate) fn template(&self, path: &str) -> Option<&Template> {
+        self.routes.at(path).ok().map(|found| found.value)
+    }
+
     /// Routes are few, and so are the methods that have a name here: the number of series is bounded.
-    pub(crate) fn answered(&self, method: &Method, route: Option<&str>, status: StatusCode, duration: Duration) {
+    pub(crate) fn answered(&self, method: &Method, route: Option<&Template>, status: StatusCode, duration: Duration) {
         let method = ["GET", "HEAD", "PUT", "POST", "PATCH", "DELETE"].into_iter().find(|known| method == known);
         let method = method.unwrap_or("other");
-        let route = route.and_then(|route| self.routes.get(route)).map_or_else(|| "none".into(), Arc::clone);
-        let answer = Answer { method, route: Arc::clone(&route), status: status.as_u16() };
-        self.requests.get_or_create(&answer).inc();
-        self.durations.get_or_create(&Route { method, route }).observe(duration.as_secs_f64());
+        let route = route.unwrap_or(&self.no_route).clone();
+        self.durations.get_or_create(&Route { method, route: route.clone() }).observe(duration.as_secs_f64());
+        self.requests.get_or_create(&Answer { method, route, status: status.as_u16() }).inc();
     }
 
     pub(crate) fn advanced(&self, advanced: &Advanced) {

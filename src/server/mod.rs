@@ -1,6 +1,6 @@
 //! The HTTP service: worlds behind names, JSON in and out. The only part of the crate that knows the network.
 //!
-//! [`Config`] says how, [`App`] holds the worlds, [`router`] is the service as a function of requests, [`serve`] puts
+//! [`Config`] says how, [`App`] holds the worlds, [`service`] is it as a function of requests, [`serve`] puts
 //! it behind [`Listener`]s.
 
 mod access;
@@ -29,11 +29,11 @@ use std::sync::{Arc, RwLock};
 
 use axum::Router;
 use axum::body::Bytes;
-use tower_http::catch_panic::CatchPanicLayer;
 use utoipa_axum::router::OpenApiRouter;
 
 pub use access::{AccessError, Tokens};
 pub use config::{Cli, Command, Config, LogFormat};
+pub use front::Front;
 pub use healthcheck::healthcheck;
 pub use listen::{ListenError, Listener, serve};
 pub use log::{Log, Writer};
@@ -111,27 +111,25 @@ fn documented_routes() -> OpenApiRouter<Arc<App>> {
 }
 
 /// The service as a function of requests, without a network.
-pub fn router(app: &Arc<App>) -> Router {
+pub fn service(app: &Arc<App>) -> Front {
     let (routes, _) = documented_routes().split_for_parts();
-    with_layers(routes, app)
+    in_front_of(routes, app)
 }
 
-fn with_layers(routes: Router<Arc<App>>, app: &Arc<App>) -> Router {
+fn in_front_of(routes: Router<Arc<App>>, app: &Arc<App>) -> Front {
     let routes = routes
         .fallback(|| async { Problem::plain(Code::UnknownRoute) })
-        .method_not_allowed_fallback(|| async { Problem::plain(Code::MethodNotAllowed) })
-        .layer(CatchPanicLayer::custom(front::on_panic));
+        .method_not_allowed_fallback(|| async { Problem::plain(Code::MethodNotAllowed) });
     let routes = match access::cors(&app.config) {
         Some(cors) => routes.layer(cors),
         None => routes,
     };
-    let routes = routes.layer(axum::middleware::from_fn_with_state(Arc::clone(app), front::front));
-    routes.with_state(Arc::clone(app))
+    Front::new(app, routes.with_state(Arc::clone(app)))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{App, Config, with_layers};
+    use super::{App, Config, in_front_of};
     use axum::Router;
     use axum::body::Body;
     use axum::http::Request;
@@ -147,7 +145,7 @@ mod tests {
         }
         let app = App::new(Config::default()).expect("no token file");
         let routes: Router<Arc<App>> = Router::new().route("/panic", get(defect));
-        let service = with_layers(routes, &app);
+        let service = in_front_of(routes, &app);
         for _ in 0..2 {
             let request = Request::get("/panic").header("host", "localhost").body(Body::empty()).expect("a request");
             let response = service.clone().oneshot(request).await.expect("infallible");

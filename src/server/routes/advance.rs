@@ -159,7 +159,6 @@ async fn advance(State(app): State<Arc<App>>, change: Change) -> Result<Response
         check_duration(body.duration, &app.config, "/duration")?;
         Ok(body)
     });
-    let metrics = app.metrics.clone();
     with_slot!(any, slot => {
         change.apply(&slot, parsed, cost, move |world, body, cancelled| {
             let command = Command::Advance(body.advance());
@@ -176,7 +175,7 @@ async fn advance(State(app): State<Arc<App>>, change: Change) -> Result<Response
                 apply(world)?
             };
             if !body.dry_run {
-                metrics.advanced(&advanced);
+                app.metrics.advanced(&advanced);
             }
             Ok(Reply::ok(json::write(&AdvancedBody { state, ..AdvancedBody::new(&advanced, world, body.report_error) })))
         }).await
