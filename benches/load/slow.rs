@@ -15,8 +15,9 @@ pub(crate) const SLOW: Case = Case {
     name: "slow",
     title: "Slow clients by the hundred",
     note: "300 connections that send a header byte by byte, 300 that say nothing, and 100 that ask for the state of 50,000 \
-           particles and never read it, under `--header-timeout-ms 8000`. The light worlds are measured while they come \
-           and their states are written, and then while they are there. After the timeout those that are still open are counted.",
+           particles and never read it, under `--header-timeout-ms 8000` and the same for `--idle-timeout-ms` and \
+           `--write-timeout-ms`. The light worlds are measured while they come and their states are written, and then \
+           while they are there. After the timeout those that are still open are counted.",
     run,
 };
 
@@ -26,7 +27,9 @@ const LONG: &str = "[0.12345678901234568,-1234.5678901234567,0.00012345678901234
 fn run(bench: &mut Bench) {
     let counts = bench.size([300, 300, 100], [10; 3]);
     let timeout = bench.size(8000, 500);
-    let server = Server::start(&["--header-timeout-ms", &timeout.to_string()]);
+    let patience = timeout.to_string();
+    let [header, idle, write] = ["--header-timeout-ms", "--idle-timeout-ms", "--write-timeout-ms"];
+    let server = Server::start(&[header, &patience, idle, &patience, write, &patience]);
     let mut light = Light::create(&server);
     let mut client = server.client();
     client.expect(&request("PUT", "/v1/worlds/large", ""), 201);
@@ -55,14 +58,15 @@ fn run(bench: &mut Bench) {
     // The last of them may have come late.
     let deadline = Instant::now() + connecting + Duration::from_millis(timeout + 5000);
     let [mut headers, mut silent, mut unread] = sockets;
-    while Instant::now() < deadline && headers.iter_mut().chain(&mut silent).any(is_open) {
+    while Instant::now() < deadline && headers.iter_mut().chain(&mut silent).chain(&mut unread).any(is_open) {
         std::thread::sleep(Duration::from_millis(100));
     }
-    bench.record("until none of the first two was open", start.elapsed().as_secs_f64(), Unit::Seconds);
+    bench.record("until none of them was open", start.elapsed().as_secs_f64(), Unit::Seconds);
     let [headers, silent, unread] = [&mut headers, &mut silent, &mut unread]
         .map(|sockets| sockets.iter_mut().map(is_open).filter(|open| *open).count());
     bench.check(headers == 0, || format!("{headers} connections with half a header are still open"));
     bench.check(silent == 0, || format!("{silent} silent connections are still open"));
+    bench.check(unread == 0, || format!("{unread} connections that never read their answer are still open"));
     bench.record("half a header, still open", headers as f64, Unit::Count).at_most(0.0);
     bench.record("silent, still open", silent as f64, Unit::Count).at_most(0.0);
     bench.record("answer never read, still open", unread as f64, Unit::Count).at_most(0.0);
