@@ -56,10 +56,10 @@ pub(crate) struct Change {
     /// That of its Idempotency-Key, told in its turn when it is none.
     pub(crate) key: Option<Result<Key, Problem>>,
     pub(crate) body: Bytes,
-    uri: Uri,
+    pub(crate) uri: Uri,
     /// For the body, and what it is parsed into.
     #[expect(dead_code, reason = "lives as long as the request")]
-    charge: Option<Charge>,
+    pub(crate) charge: Option<Charge>,
 }
 
 impl Read {
@@ -259,7 +259,7 @@ pub(crate) struct Preconditions {
 }
 
 impl Preconditions {
-    fn new(headers: &HeaderMap) -> Self {
+    pub(crate) fn new(headers: &HeaderMap) -> Self {
         let tags = |name| {
             headers.contains_key(&name).then(|| {
                 let values = headers.get_all(&name).iter().filter_map(|value| value.to_str().ok());

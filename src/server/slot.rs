@@ -463,9 +463,12 @@ async fn in_pool<T: Send + 'static>(job: impl FnOnce() -> Result<T, Problem> + S
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
+    use std::sync::atomic::AtomicBool;
+
+    use axum::http::{HeaderMap, HeaderValue, header};
 
     use super::{Code, Config, Cost, Reply, Shared, Slot};
-    use crate::server::extract::Change;
+    use crate::server::extract::{Change, Preconditions};
     use crate::world::World;
 
     fn shared() -> Arc<Shared> {
@@ -492,7 +495,32 @@ mod tests {
         }
     }
 
-    /// A long change that waits for a place leaves its world to others, and is judged anew when it has one.
+    /// What changed while a request waited for a place counts: it is judged anew.
+    #[tokio::test]
+    async fn if_match_is_judged_when_the_work_begins() {
+        let shared = shared();
+        let slot = Arc::new(Slot::new("a", World::<f64>::default(), &shared));
+        let taken: Vec<_> = std::iter::from_fn(|| shared.long_places.try_take()).collect();
+        let headers = HeaderMap::from_iter([(header::IF_MATCH, HeaderValue::from_static("\"0\""))]);
+        let matching = Change { preconditions: Preconditions::new(&headers), ..Change::default() };
+        let mut long = std::pin::pin!(slot.change(
+            &matching,
+            Ok(()),
+            |_, ()| Cost::of(u64::MAX),
+            |_, (), _| Ok(Reply::no_content())
+        ));
+        assert!(poll_once(long.as_mut()).await.is_none(), "it waits");
+        let other = Change::default();
+        let advance = |world: &mut World<f64>, (), _: &AtomicBool| {
+            world.advance(1.0).expect("nothing is in it");
+            Ok(Reply::no_content())
+        };
+        slot.change(&other, Ok(()), |_, ()| Cost::default(), advance).await.expect("the world is free");
+        drop(taken);
+        assert_eq!(long.await.expect_err("the world moved on").code, Code::RevisionMismatch);
+    }
+
+    /// A long change that waits for a place leaves its world to others.
     #[tokio::test]
     async fn who_waits_for_a_place_holds_no_world() {
         let shared = shared();
