@@ -29,7 +29,8 @@ fn run(bench: &mut Bench) {
     let timeout = bench.size(8000, 500);
     let patience = timeout.to_string();
     let [header, idle, write] = ["--header-timeout-ms", "--idle-timeout-ms", "--write-timeout-ms"];
-    let server = Server::start(&[header, &patience, idle, &patience, write, &patience]);
+    let rate = ["--write-rate-min", "1000000000"];
+    let server = Server::start(&[header, &patience, idle, &patience, write, &patience, rate[0], rate[1]]);
     let mut light = Light::create(&server);
     let mut client = server.client();
     client.expect(&request("PUT", "/v1/worlds/large", ""), 201);

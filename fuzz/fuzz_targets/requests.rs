@@ -17,8 +17,9 @@ use tower::ServiceExt;
 const WORLDS: &[u8] = include_bytes!("worlds.http");
 
 /// What the service writes as null where it means it. A number that is not finite would be written so as well.
-const NULLABLE: [&str; 9] = [
+const NULLABLE: [&str; 10] = [
     "drag",
+    "duration_max",
     "error",
     "forces",
     "gravitation",

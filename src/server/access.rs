@@ -9,6 +9,7 @@ use std::sync::PoisonError;
 use std::sync::atomic::Ordering;
 
 use axum::extract::Request;
+use axum::http::uri::Authority;
 use axum::http::{HeaderMap, HeaderValue, Method, Version, header};
 use sha2::{Digest, Sha256};
 use subtle::{Choice, ConstantTimeEq};
@@ -17,6 +18,7 @@ use tower_http::cors::{AllowHeaders, Any, CorsLayer};
 use crate::server::App;
 use crate::server::config::{Config, READ_ONLY_TOKEN, TOKEN};
 use crate::server::front::REQUEST_ID;
+use crate::server::idempotency::IDEMPOTENCY_REPLAYED;
 use crate::server::problem::{Code, Problem};
 
 pub(crate) fn admit(app: &App, request: &Request, route: Option<&str>) -> Result<(), Problem> {
@@ -49,12 +51,16 @@ pub(crate) fn admit(app: &App, request: &Request, route: Option<&str>) -> Result
 
 fn host(request: &Request) -> Result<Option<&str>, Problem> {
     let mut hosts = request.headers().get_all(header::HOST).iter();
-    let refused = || Problem::new(Code::HostNotAllowed, "a request has one Host header");
+    let refused = || Problem::new(Code::HostNotAllowed, "a request has one Host header, which is that of its target");
+    let authority = request.uri().authority().map(Authority::as_str);
     match (hosts.next(), hosts.next()) {
-        (Some(host), None) => host.to_str().map(Some).map_err(|_| refused()),
-        (Some(_), Some(_)) => Err(refused()),
-        (None, _) => match request.uri().authority() {
-            Some(authority) => Ok(Some(authority.as_str())),
+        // Where the target names a host too, it is the same.
+        (Some(host), None) if authority.is_none_or(|authority| host == authority) => {
+            host.to_str().map(Some).map_err(|_| refused())
+        }
+        (Some(_), _) => Err(refused()),
+        (None, _) => match authority {
+            Some(authority) => Ok(Some(authority)),
             None if request.version() == Version::HTTP_10 => Ok(None),
             None => Err(refused()),
         },
@@ -108,7 +114,7 @@ pub(crate) fn cors(config: &Config) -> Option<CorsLayer> {
     if origins.is_empty() {
         return None;
     }
-    let exposed = [header::ETAG, header::LOCATION, header::RETRY_AFTER, REQUEST_ID];
+    let exposed = [header::ETAG, header::LOCATION, header::RETRY_AFTER, IDEMPOTENCY_REPLAYED, REQUEST_ID];
     Some(
         CorsLayer::new()
             .allow_origin(origins)

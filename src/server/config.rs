@@ -148,7 +148,7 @@ pub struct Config {
     #[arg(long, value_name = "BYTES", env = "POINTMASS_ANSWER_BYTES_MAX", default_value_t = 256 << 20)]
     pub answer_bytes_max: u64,
     /// The most memory for the bodies and answers of all requests at once; above it they are told to come back.
-    #[arg(long, value_name = "BYTES", env = "POINTMASS_IN_FLIGHT_BYTES_MAX", default_value_t = 1 << 30)]
+    #[arg(long, value_name = "BYTES", env = "POINTMASS_IN_FLIGHT_BYTES_MAX", default_value_t = 2 << 30)]
     pub in_flight_bytes_max: u64,
     /// The most requests that wait for one world; further ones are told to come back.
     #[arg(long, value_name = "N", env = "POINTMASS_WORLD_QUEUE_MAX", default_value_t = 256)]
@@ -176,7 +176,7 @@ pub struct Config {
     #[arg(long, value_name = "N", env = "POINTMASS_ADDRESS_CONNECTIONS_MAX", default_value_t = 64, value_parser = positive)]
     pub address_connections_max: usize,
     /// The most requests at once on one connection (HTTP/2).
-    #[arg(long, value_name = "N", env = "POINTMASS_STREAMS_MAX", default_value_t = 100)]
+    #[arg(long, value_name = "N", env = "POINTMASS_STREAMS_MAX", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..))]
     pub streams_max: u32,
     /// The longest path with its parameters: a thousand ids, and room.
     #[arg(long, value_name = "BYTES", env = "POINTMASS_URI_BYTES_MAX", default_value_t = 16 << 10)]
@@ -193,9 +193,12 @@ pub struct Config {
     /// How long a request's body may take.
     #[arg(long, value_name = "MS", env = "POINTMASS_BODY_TIMEOUT_MS", default_value_t = 30_000)]
     pub body_timeout_ms: u64,
-    /// How long a client may take nothing of its answer.
+    /// How long a client may take over its answer, besides what it takes at --write-rate-min.
     #[arg(long, value_name = "MS", env = "POINTMASS_WRITE_TIMEOUT_MS", default_value_t = 30_000)]
     pub write_timeout_ms: u64,
+    /// The bytes a second that a client takes of a large answer at least.
+    #[arg(long, value_name = "BYTES", env = "POINTMASS_WRITE_RATE_MIN", default_value_t = 1 << 20, value_parser = clap::value_parser!(u64).range(1..))]
+    pub write_rate_min: u64,
     /// How long to finish what is in flight after SIGTERM or SIGINT.
     #[arg(long, value_name = "MS", env = "POINTMASS_DRAIN_TIMEOUT_MS", default_value_t = 60_000)]
     pub drain_timeout_ms: u64,

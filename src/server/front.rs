@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use axum::Router;
 use axum::extract::Request;
-use axum::http::{HeaderName, HeaderValue, StatusCode};
+use axum::http::{HeaderName, HeaderValue, Method, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use tower::Service;
 
@@ -26,6 +26,8 @@ pub(crate) const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id"
 const TRACEPARENT: HeaderName = HeaderName::from_static("traceparent");
 /// The target of the log lines of requests, one for each.
 pub(crate) const ACCESS: &str = "pointmass::access";
+/// What is counted and logged of a request whose client did not wait for the answer.
+const CLIENT_WENT_AWAY: u16 = 499;
 /// Longer ids of clients are replaced: they are copied into answers and logs.
 const REQUEST_ID_BYTES_MAX: usize = 128;
 
@@ -46,44 +48,70 @@ impl Front {
 
     /// Answers a request, whatever happens.
     pub(crate) async fn answer(mut self, request: Request) -> Response {
-        let began = Instant::now();
-        let app = &self.app;
+        let app = Arc::clone(&self.app);
         let id = match request.headers().get(REQUEST_ID) {
             Some(id) if (1..=REQUEST_ID_BYTES_MAX).contains(&id.len()) => id.clone(),
             Some(_) | None => app.request_ids.next(),
         };
-        let method = request.method().clone();
-        let uri = request.uri().clone();
-        let trace = request.headers().get(TRACEPARENT).cloned();
-        let template = app.metrics.template(uri.path());
-        let route = template.map(Template::text);
+        let route = app.metrics.template(request.uri().path());
+        let mut seen = Seen {
+            app: &app,
+            began: Instant::now(),
+            method: request.method().clone(),
+            uri: request.uri().clone(),
+            route,
+            id: id.clone(),
+            trace: request.headers().get(TRACEPARENT).cloned(),
+            status: None,
+        };
         let _in_flight = app.in_flight.enter();
-        let admitted = check_head(&app.config, &request).and_then(|()| admit(app, &request, route));
-        let mut response = match admitted {
+        let admitted = check_head(&app.config, &request);
+        let mut response = match admitted.and_then(|()| admit(&app, &request, route.map(Template::text))) {
             Ok(()) => unless_it_panics(self.routes.call(request)).await,
             Err(problem) => problem.into_response(),
         };
-        let status = response.status();
-        let duration = began.elapsed();
-        app.metrics.answered(&method, template, status, duration);
-        let (trace_id, parent_id) = trace.as_ref().and_then(trace_and_parent).unzip();
+        seen.status = Some(response.status());
+        response.headers_mut().insert(REQUEST_ID, id);
+        response
+    }
+}
+
+/// A request that is counted, timed and logged when it ends, also where its client goes away.
+struct Seen<'a> {
+    app: &'a App,
+    began: Instant,
+    method: Method,
+    uri: Uri,
+    route: Option<&'a Template>,
+    id: HeaderValue,
+    trace: Option<HeaderValue>,
+    status: Option<StatusCode>,
+}
+
+impl Drop for Seen<'_> {
+    fn drop(&mut self) {
+        let Self { app, method, route, .. } = self;
+        let status = self.status.map_or(CLIENT_WENT_AWAY, |status| status.as_u16());
+        let duration = self.began.elapsed();
+        app.metrics.answered(method, *route, status, duration);
+        let id = self.id.to_str().unwrap_or("not ASCII");
+        let (trace_id, parent_id) = self.trace.as_ref().and_then(trace_and_parent).unzip();
+        let route = route.map(Template::text);
         // No query, which may hold anything, no header and no body.
         tracing::info!(
             target: ACCESS,
-            request_id = ?id,
+            request_id = id,
             trace_id,
             parent_id,
             %method,
-            path = uri.path(),
+            path = self.uri.path(),
             route,
-            status = status.as_u16(),
+            status,
             duration_us = u64::try_from(duration.as_micros()).unwrap_or(u64::MAX),
         );
-        if status.is_server_error() && status != StatusCode::SERVICE_UNAVAILABLE {
-            tracing::error!(request_id = ?id, trace_id, %method, route, status = status.as_u16(), "defect");
+        if self.status.is_some_and(|status| status.is_server_error() && status != StatusCode::SERVICE_UNAVAILABLE) {
+            tracing::error!(request_id = id, trace_id, %method, route, status, "defect");
         }
-        response.headers_mut().insert(REQUEST_ID, id);
-        response
     }
 }
 
@@ -152,31 +180,35 @@ fn check_head(config: &Config, request: &Request) -> Result<(), Problem> {
     Ok(())
 }
 
-/// How many requests have begun and not ended.
+/// How many requests, or answers, have begun and not ended.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct InFlight(Arc<Counted>);
+
 #[derive(Debug, Default)]
-pub(crate) struct InFlight {
+struct Counted {
     count: AtomicU64,
     ended: tokio::sync::Notify,
 }
 
-/// Counts one request while it lives: also one whose client goes away.
-struct Entered<'a>(&'a InFlight);
+/// Counts one while it lives: also one whose client goes away.
+#[derive(Debug)]
+pub(crate) struct Entered(InFlight);
 
 impl InFlight {
-    fn enter(&self) -> Entered<'_> {
-        self.count.fetch_add(1, Ordering::SeqCst);
-        Entered(self)
+    pub(crate) fn enter(&self) -> Entered {
+        self.0.count.fetch_add(1, Ordering::SeqCst);
+        Entered(self.clone())
     }
 
     pub(crate) fn count(&self) -> u64 {
-        self.count.load(Ordering::SeqCst)
+        self.0.count.load(Ordering::SeqCst)
     }
 
     /// Waits until there is none.
     pub(crate) async fn none(&self) {
         loop {
-            let ended = self.ended.notified();
-            if self.count.load(Ordering::SeqCst) == 0 {
+            let ended = self.0.ended.notified();
+            if self.count() == 0 {
                 return;
             }
             ended.await;
@@ -184,10 +216,10 @@ impl InFlight {
     }
 }
 
-impl Drop for Entered<'_> {
+impl Drop for Entered {
     fn drop(&mut self) {
-        if self.0.count.fetch_sub(1, Ordering::SeqCst) == 1 {
-            self.0.ended.notify_one();
+        if self.0.0.count.fetch_sub(1, Ordering::SeqCst) == 1 {
+            self.0.0.ended.notify_one();
         }
     }
 }

@@ -57,6 +57,12 @@ impl Key {
         Ok(Some(Self { name: Sha256::digest(name.as_bytes()).into(), request: request.finalize().into() }))
     }
 
+    /// For a removal, whose answer outlives the world: a key of that world alone.
+    pub(crate) fn of_removal(&self) -> Self {
+        let name = Sha256::new().chain_update(self.name).chain_update(self.request).finalize();
+        Self { name: name.into(), request: self.request }
+    }
+
     /// A name for the world that a request with this key creates: the same each time, and not to be guessed.
     pub(crate) fn world_name(&self, secret: u64) -> String {
         let name = Sha256::new().chain_update(secret.to_le_bytes()).chain_update(self.name).finalize();
@@ -148,9 +154,12 @@ impl Answers {
         }
     }
 
-    /// Bytes of memory for the accounting of the world.
+    /// Bytes of those that are not too old, for the accounting of the world.
     pub(crate) fn bytes(&self) -> u64 {
-        self.lock().as_ref().map_or(0, |kept| kept.bytes as u64)
+        self.lock().as_mut().map_or(0, |kept| {
+            kept.forget(self.limits);
+            kept.bytes as u64
+        })
     }
 
     fn lock(&self) -> MutexGuard<'_, Option<Box<Kept>>> {

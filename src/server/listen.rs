@@ -21,6 +21,7 @@ use tokio::net::{TcpListener, TcpSocket, UnixListener, UnixStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio::task::JoinSet;
 
+use crate::server::slot::with_slot;
 use crate::server::socket::{Activity, Socket};
 use crate::server::{App, Config, Front, service};
 
@@ -131,8 +132,7 @@ async fn bind_unix(path: &Path) -> io::Result<Listener> {
     Ok(Listener::Unix(listener, path.to_owned()))
 }
 
-/// Once every request is answered: how long its client may take to read the answer, and one with half a request to
-/// send the rest.
+/// Once every answer is taken: how long a client with half a request may take to send the rest.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Answers on all listeners until `shutdown` resolves; then finishes what is in flight, within the drain timeout.
@@ -145,24 +145,40 @@ pub async fn serve(listeners: Vec<Listener>, app: Arc<App>, shutdown: impl Futur
     for listener in listeners {
         accepting.spawn(accept(listener, Arc::clone(&connections), stopped.clone()));
     }
+    let forgetting = tokio::spawn(forget_old_answers(Arc::clone(&app)));
     shutdown.await;
+    forgetting.abort();
     app.draining.store(true, Ordering::SeqCst);
     tracing::info!("finishing what is in flight");
     let drained = async {
         app.in_flight.none().await;
+        app.underway.none().await;
         stop.send_replace(());
         while accepting.join_next().await.is_some() {}
         // The accept loops, which had the other handles, have ended.
         if let Some(connections) = Arc::into_inner(connections)
             && tokio::time::timeout(CLOSE_TIMEOUT, connections.graceful.shutdown()).await.is_err()
         {
-            tracing::info!("closed connections with half a request, or with an answer that nobody took");
+            tracing::info!("closed connections with half a request");
         }
     };
     if tokio::time::timeout(Duration::from_millis(app.config.drain_timeout_ms), drained).await.is_err() {
         tracing::warn!("gave up on requests that outlasted --drain-timeout-ms");
     }
 }
+
+/// Kept answers of worlds that nobody changes any more are given back too.
+async fn forget_old_answers(app: Arc<App>) {
+    loop {
+        tokio::time::sleep(FORGET_EVERY).await;
+        for (_, any) in app.worlds.list(None, usize::MAX) {
+            with_slot!(any, slot => slot.forget());
+        }
+    }
+}
+
+/// A small part of the time for which answers are kept.
+const FORGET_EVERY: Duration = Duration::from_secs(20);
 
 /// What every connection gets.
 struct Connections {
@@ -256,15 +272,12 @@ impl Connections {
     fn answer(&self, stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, places: impl Send + 'static) {
         let activity = Arc::<Activity>::default();
         let socket = Socket::new(stream, Arc::clone(&self.app), Arc::clone(&activity));
-        let front = self.front.clone();
+        let (front, app) = (self.front.clone(), Arc::clone(&self.app));
         let service = service_fn(move |request: hyper::Request<Incoming>| {
             let active = activity.begin();
+            let app = Arc::clone(&app);
             let answer = front.clone().answer(request.map(Body::new));
-            async move {
-                let answer = answer.await;
-                drop(active);
-                Ok::<_, Infallible>(answer)
-            }
+            async move { Ok::<_, Infallible>(active.deliver(answer.await, &app)) }
         });
         let connection = self.protocol.serve_connection(TokioIo::new(socket), service).into_owned();
         let connection = self.graceful.watch(connection);

@@ -4,7 +4,7 @@ use std::hash::{Hash, Hasher};
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::http::{Method, StatusCode};
+use axum::http::Method;
 use prometheus_client::encoding::{EncodeLabelSet, EncodeLabelValue, LabelValueEncoder};
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
@@ -114,12 +114,12 @@ impl Metrics {
     }
 
     /// Routes are few, and so are the methods that have a name here: the number of series is bounded.
-    pub(crate) fn answered(&self, method: &Method, route: Option<&Template>, status: StatusCode, duration: Duration) {
+    pub(crate) fn answered(&self, method: &Method, route: Option<&Template>, status: u16, duration: Duration) {
         let method = ["GET", "HEAD", "PUT", "POST", "PATCH", "DELETE"].into_iter().find(|known| method == known);
         let method = method.unwrap_or("other");
         let route = route.unwrap_or(&self.no_route).clone();
         self.durations.get_or_create(&Route { method, route: route.clone() }).observe(duration.as_secs_f64());
-        self.requests.get_or_create(&Answer { method, route, status: status.as_u16() }).inc();
+        self.requests.get_or_create(&Answer { method, route, status }).inc();
     }
 
     pub(crate) fn advanced(&self, advanced: &Advanced) {

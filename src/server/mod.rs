@@ -56,6 +56,8 @@ pub struct App {
     /// Set once the service is to end: not ready for new work.
     pub(crate) draining: AtomicBool,
     pub(crate) in_flight: front::InFlight,
+    /// Answers that are not yet with the system.
+    pub(crate) underway: front::InFlight,
     pub(crate) request_ids: front::RequestIds,
     /// Makes names that cannot be guessed.
     pub(crate) secret: u64,
@@ -87,6 +89,7 @@ impl App {
             metrics: Metrics::new(description.paths.paths.keys().cloned()),
             draining: AtomicBool::new(false),
             in_flight: front::InFlight::default(),
+            underway: front::InFlight::default(),
             request_ids: front::RequestIds::default(),
             secret: front::random(),
             openapi: openapi::document(description).into(),

@@ -105,6 +105,8 @@ pub(crate) struct Shared {
     pub(crate) short_places: Places,
     /// For long work there.
     pub(crate) long_places: Places,
+    /// Answers to removals of worlds.
+    pub(crate) removals: Answers,
     answer_bytes_max: u64,
     /// Of those who wait for one world.
     world_queue: Bounds,
@@ -116,6 +118,7 @@ impl Shared {
     /// When the threads cannot be started.
     pub(crate) fn new(config: &Config) -> std::io::Result<Self> {
         let patience = Duration::from_millis(config.queue_timeout_ms);
+        let key_limits = KeyLimits { count: config.keys_max, lifetime: Duration::from_millis(config.key_lifetime_ms) };
         let places = Bounds { length: config.queue_max, patience, what: "a place for a long advance" };
         Ok(Self {
             memory: Memory::of_worlds(config.memory_bytes_max),
@@ -128,7 +131,8 @@ impl Shared {
             long_places: Places::new(config.long_places(), places),
             answer_bytes_max: config.answer_bytes_max,
             world_queue: Bounds { length: config.world_queue_max, patience, what: "the world" },
-            key_limits: KeyLimits { count: config.keys_max, lifetime: Duration::from_millis(config.key_lifetime_ms) },
+            removals: Answers::new(key_limits),
+            key_limits,
         })
     }
 
@@ -247,6 +251,13 @@ impl<R: WireReal> Slot<R> {
         self.description.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
+    /// Forgets kept answers that are too old, unless the world is at work and does so itself.
+    pub(crate) fn forget(&self) {
+        if let Ok(mut held) = self.world.try_lock() {
+            held.settle(&self.answers);
+        }
+    }
+
     /// After the last change.
     pub(crate) fn particle_count(&self) -> usize {
         self.description.lock().unwrap_or_else(PoisonError::into_inner).particle_count()
@@ -267,8 +278,10 @@ impl<R: WireReal> Slot<R> {
             None => None,
             Some(Err(problem)) if problem.code == Code::IdempotencyKeyInFlight => return Err(problem),
             Some(told) => {
-                // An unknown world or particle is told first.
-                self.lock().await?.world(&change.target)?;
+                // An unknown particle is told first.
+                if change.target.names_particle() {
+                    self.lock().await?.world(&change.target)?;
+                }
                 return told.map(|attempt| attempt.reply().into_response());
             }
         };
@@ -400,14 +413,19 @@ impl<R: WireReal> Turn<R> {
     /// charge for the answer.
     fn end(self, answers: &Answers) -> Charge {
         let Self { mut held, place, charge, .. } = self;
-        let particles = held.world.as_ref().map_or(0, World::particle_count) as u64;
-        held.charge.shrink_to(particles * PARTICLE_BYTES + answers.bytes());
+        held.settle(answers);
         drop((held, place));
         charge
     }
 }
 
 impl<R: Real> Held<R> {
+    /// Gives back the bytes that neither particles nor kept answers take.
+    fn settle(&mut self, answers: &Answers) {
+        let particles = self.world.as_ref().map_or(0, World::particle_count) as u64;
+        self.charge.shrink_to(particles * PARTICLE_BYTES + answers.bytes());
+    }
+
     /// The world, with the particle of the path in it.
     fn world(&mut self, target: &Target) -> Result<&mut World<R>, Problem> {
         if self.interrupted {

@@ -3,15 +3,19 @@
 
 use std::io::{self, IoSlice};
 use std::pin::Pin;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
+use axum::body::{Body, Bytes, HttpBody};
+use axum::response::Response;
+use hyper::body::{Frame, SizeHint};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Instant, Sleep};
 
 use crate::server::App;
+use crate::server::front::Entered;
 use crate::server::problem::{Code, Problem};
 
 /// A socket with deadlines, whose bare refusals are told as problems.
@@ -24,7 +28,7 @@ pub(crate) struct Socket<S> {
     waits_for: Waiting,
     /// Until then something has to arrive.
     read_by: Deadline,
-    /// Until then some of an answer has to be taken.
+    /// Until then the first of the answers has to be taken.
     write_by: Deadline,
     /// Once the first bytes are here.
     is_http2: Option<bool>,
@@ -42,11 +46,13 @@ enum Waiting {
     Headers,
 }
 
-/// How many requests of a connection began, and how many of them are in flight.
+/// What a connection is busy with: requests in flight, and answers on their way.
 #[derive(Debug, Default)]
 pub(crate) struct Activity {
     begun: AtomicUsize,
     in_flight: AtomicUsize,
+    /// The moments until which answers have to be taken.
+    answers: Mutex<Vec<(usize, Instant)>>,
 }
 
 /// One request of a connection while it lives.
@@ -58,11 +64,89 @@ impl Activity {
         self.in_flight.fetch_add(1, Ordering::Relaxed);
         Active(Arc::clone(self))
     }
+
+    fn answers(&self) -> MutexGuard<'_, Vec<(usize, Instant)>> {
+        self.answers.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn is_busy(&self) -> bool {
+        self.in_flight.load(Ordering::Relaxed) > 0 || !self.answers().is_empty()
+    }
+
+    /// The first moment until which one of the answers has to be taken.
+    fn write_by(&self) -> Option<Instant> {
+        self.answers().iter().map(|(_, moment)| *moment).min()
+    }
+}
+
+impl Active {
+    /// Ends the request; its answer has to be taken within the patience, and as long as it takes at the least rate.
+    pub(crate) fn deliver(self, response: Response, app: &App) -> Response {
+        let bytes = response.body().size_hint().exact().unwrap_or_default();
+        if bytes == 0 {
+            return response;
+        }
+        let patience =
+            app.config.write_timeout() + Duration::from_millis(bytes.saturating_mul(1000) / app.config.write_rate_min);
+        let ticket = self.0.begun.fetch_add(1, Ordering::Relaxed);
+        self.0.answers().push((ticket, Instant::now() + patience));
+        let delivery = Arc::new(Delivery { activity: Arc::clone(&self.0), ticket, _underway: app.underway.enter() });
+        response.map(|body| Body::new(Delivered { body, delivery }))
+    }
 }
 
 impl Drop for Active {
     fn drop(&mut self) {
         self.0.in_flight.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// An answer on its way: until the last of its bytes is with the system, or the connection is gone.
+struct Delivery {
+    activity: Arc<Activity>,
+    ticket: usize,
+    _underway: Entered,
+}
+
+impl Drop for Delivery {
+    fn drop(&mut self) {
+        self.activity.answers().retain(|(ticket, _)| *ticket != self.ticket);
+    }
+}
+
+/// A body whose bytes hold on to its delivery.
+struct Delivered {
+    body: Body,
+    delivery: Arc<Delivery>,
+}
+
+struct Underway(Bytes, #[expect(dead_code, reason = "lives as long as the bytes")] Arc<Delivery>);
+
+impl AsRef<[u8]> for Underway {
+    fn as_ref(&self) -> &[u8] {
+        &self.0
+    }
+}
+
+impl HttpBody for Delivered {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        let frame = ready!(Pin::new(&mut self.body).poll_frame(context));
+        let held = |data| Bytes::from_owner(Underway(data, Arc::clone(&self.delivery)));
+        Poll::Ready(frame.map(|frame| frame.map(|frame| frame.map_data(held))))
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
     }
 }
 
@@ -121,10 +205,10 @@ impl<S> Socket<S> {
             && !bytes.windows(12).any(|window| window == b"x-request-id")
     }
 
-    /// Whether a request is in flight. What was waited for before the last one began is over.
+    /// Whether a request is in flight or an answer on its way. What was waited for before the last one began is over.
     fn is_busy(&mut self) -> bool {
         let begun = self.activity.begun.load(Ordering::Relaxed);
-        let is_busy = self.activity.in_flight.load(Ordering::Relaxed) > 0;
+        let is_busy = self.activity.is_busy();
         if is_busy || begun != self.begun {
             self.begun = begun;
             self.waits_for = Waiting::Nothing;
@@ -144,40 +228,36 @@ impl<S> Socket<S> {
             self.is_http2 = Some(arrived.starts_with(b"PRI"));
         }
         if self.is_busy() {
-            return poll;
+            return if poll.is_ready() { poll } else { self.check_deadlines(context) };
         }
-        if poll.is_ready() {
-            // Under HTTP/2 bytes need not be a request: what counts there is that one begins.
-            if self.is_http2 == Some(false) && self.waits_for != Waiting::Headers {
-                self.waits_for = Waiting::Headers;
-                self.read_by.set(self.app.config.header_timeout());
-            }
-            return poll;
+        // Under HTTP/2 bytes need not be a request: what counts there is that one begins.
+        if poll.is_ready() && self.is_http2 == Some(false) && self.waits_for != Waiting::Headers {
+            self.waits_for = Waiting::Headers;
+            self.read_by.set(self.app.config.header_timeout());
         }
-        if self.waits_for == Waiting::Nothing {
+        if poll.is_ready() { poll } else { self.check_deadlines(context) }
+    }
+
+    /// The same after writing: hyper, which asked for bytes before, need not ask again, so that the timers are started
+    /// here, and have it ask.
+    fn check_writing<T>(&mut self, context: &mut Context<'_>, poll: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
+        match self.check_deadlines(context) {
+            Poll::Ready(Err(error)) => Poll::Ready(Err(error)),
+            Poll::Ready(Ok(())) | Poll::Pending => poll,
+        }
+    }
+
+    /// Ready with an error once a client was silent for too long, or took too long over an answer.
+    fn check_deadlines(&mut self, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        if !self.is_busy() && self.waits_for == Waiting::Nothing {
             self.waits_for = Waiting::Request;
             self.read_by.set(self.app.config.idle_timeout());
         }
+        self.write_by.at = self.activity.write_by();
+        if let Poll::Ready(error) = self.write_by.poll(context, "the client does not read its answer") {
+            return Poll::Ready(error);
+        }
         self.read_by.poll(context, "no request came in time")
-    }
-
-    /// Sets and holds the deadline of writing: some of it has to be taken.
-    fn check_writing<T>(&mut self, context: &mut Context<'_>, poll: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
-        if poll.is_ready() {
-            self.write_by.clear();
-            if !self.is_busy() && self.waits_for != Waiting::Headers {
-                // The end of an answer, maybe. hyper, which asked for bytes before, need not ask again: so the timer is
-                // started here, and has it ask.
-                self.waits_for = Waiting::Request;
-                self.read_by.set(self.app.config.idle_timeout());
-                let _asks_later = self.read_by.poll::<()>(context, "");
-            }
-            return poll;
-        }
-        if self.write_by.at.is_none() {
-            self.write_by.set(self.app.config.write_timeout());
-        }
-        self.write_by.poll(context, "the client does not read its answer")
     }
 
     fn replace(&mut self, bytes: &[u8]) {
@@ -241,7 +321,8 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for Socket<S> {
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.inner).poll_flush(context)
+        let poll = Pin::new(&mut self.inner).poll_flush(context);
+        self.check_writing(context, poll)
     }
 
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {

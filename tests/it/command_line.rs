@@ -354,7 +354,7 @@ fn every_request_has_a_line_in_the_log() {
         let fields = &first["fields"];
         assert!(fields["duration_us"].is_u64());
         for (name, value) in [
-            ("request_id", json!("\"mine\"")),
+            ("request_id", json!("mine")),
             ("trace_id", json!("0af7651916cd43dd8448eb211c80319c")),
             ("parent_id", json!("b7ad6b7169203331")),
             ("method", json!("PUT")),

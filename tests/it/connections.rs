@@ -120,7 +120,10 @@ fn only_what_is_silent_is_idle() {
 /// A client that asks for much and takes nothing of it loses its connection, and nothing else happens.
 #[test]
 fn who_does_not_read_is_given_up() {
-    let service = Service::with(|config| config.write_timeout_ms = 300);
+    let service = Service::with(|config| {
+        config.write_timeout_ms = 300;
+        config.write_rate_min = 1 << 30;
+    });
     let mut client = service.client();
     client.put("/v1/worlds/a", "").expect(201);
     client.post("/v1/worlds/a/particles", r#"{"count":300000,"velocity":[0.1,0.2,0.3]}"#).expect(201);
@@ -147,6 +150,41 @@ fn heads_that_are_too_long_are_refused() {
     assert_eq!((answer.status, answer.json()["code"].as_str()), (431, Some("headers_too_large")));
     assert!(answer.text().contains("--header-bytes-max"));
     client.get("/v1").expect(200);
+}
+
+fn http2_frame(kind: u8, flags: u8, stream: u8, payload: &[u8]) -> Vec<u8> {
+    let length = u8::try_from(payload.len()).expect("a short one");
+    [&[0, 0, length, kind, flags, 0, 0, 0, stream], payload].concat()
+}
+
+/// Pings are no requests, and an answer that waits for a window is not taken: both end.
+#[test]
+fn http2_connections_that_only_ping_are_given_up() {
+    let service = Service::with(|config| {
+        config.idle_timeout_ms = 300;
+        config.write_timeout_ms = 300;
+    });
+    service.client().put("/v1/worlds/a", "").expect(201);
+    let no_window = http2_frame(4, 0, 0, &[0, 4, 0, 0, 0, 0]);
+    // A literal GET /v1/worlds on http://localhost.
+    let mut headers = vec![0x82, 0x86, 0x04, 10];
+    headers.extend_from_slice(b"/v1/worlds\x41\x09localhost");
+    let asks = http2_frame(1, 5, 1, &headers);
+    for first in [Vec::new(), [no_window, asks].concat()] {
+        let mut client = service.client();
+        http2_settings(&mut client);
+        client.raw(&first);
+        client.impatient(Duration::from_millis(1));
+        let pinged = (0..2000).take_while(|_| {
+            client.raw_unless_closed(&http2_frame(6, 0, 0, &[0; 8]));
+            std::thread::sleep(Duration::from_millis(5));
+            !client.is_gone()
+        });
+        let pinged = pinged.count();
+        assert!((10..2000).contains(&pinged), "{pinged}");
+    }
+    let charged = "\npointmass_in_flight_charged_bytes 0\n";
+    assert!(service.client().get("/metrics").text().contains(charged), "what the answer took is given back");
 }
 
 /// Bytes of the frame of settings that an HTTP/2 service sends first: pairs of a number and a value.

@@ -93,7 +93,7 @@ fn requests_in_flight_share_a_budget() {
     client.post("/v1/worlds/a/particles", &body).expect(201);
     // A body that is announced and does not come holds its part.
     let mut slow = service.client();
-    slow.raw(b"POST /v1/worlds/a/particles HTTP/1.1\r\nhost: localhost\r\ncontent-length: 127000\r\n\r\n[");
+    slow.raw(b"POST /v1/worlds/a/particles HTTP/1.1\r\nhost: localhost\r\ncontent-length: 63500\r\n\r\n[");
     wait_for_in_flight(service.address, 1);
     check_overloaded(&client.post("/v1/worlds/a/particles", &body), "--in-flight-bytes-max");
     check_overloaded(&client.get("/v1/worlds/a/state"), "--in-flight-bytes-max");

@@ -59,9 +59,13 @@ fn its_tables_name_what_there_is() {
         assert!(README.contains(&format!("{row}{} |", thousands(name))), "{name} is {}", thousands(name));
     }
     for (row, name, value) in [
-        ("| bytes of a body | 64 MiB", "body_bytes_max", 64 << 20),
+        ("| bytes of a body | 64 MiB", "body_bytes_max", 64_i64 << 20),
         ("| bytes of an answer | 256 MiB", "answer_bytes_max", 256 << 20),
-        ("| bytes of all bodies and answers in flight | 1 GiB", "in_flight_bytes_max", 1 << 30),
+        (
+            "| bytes of all bodies, with what they are parsed into, and answers in flight | 2 GiB",
+            "in_flight_bytes_max",
+            2_i64 << 30,
+        ),
         ("| connections; from one address beyond loopback | 1024; 64", "connections_max", 1024),
         ("| connections; from one address beyond loopback | 1024; 64", "address_connections_max", 64),
         ("| requests at once on one connection (HTTP/2) | 100", "streams_max", 100),
@@ -69,8 +73,8 @@ fn its_tables_name_what_there_is() {
         ("| bytes of a path, of the headers | 16 KiB", "header_bytes_max", 16 << 10),
         ("| seconds for headers, for a body | 5, 30", "header_timeout_ms", 5_000),
         ("| seconds for headers, for a body | 5, 30", "body_timeout_ms", 30_000),
-        ("| seconds without a request, without reading the answer | 30", "idle_timeout_ms", 30_000),
-        ("| seconds without a request, without reading the answer | 30", "write_timeout_ms", 30_000),
+        ("| seconds without a request; for an answer, and one for each MiB of it | 30", "idle_timeout_ms", 30_000),
+        ("| seconds without a request; for an answer, and one for each MiB of it | 30", "write_timeout_ms", 30_000),
         ("| requests that wait for one world, for a processor | 256, 1024", "world_queue_max", 256),
         ("| requests that wait for one world, for a processor | 256, 1024", "queue_max", 1024),
         ("| seconds in a queue; for a processor, when the work is short | 30; 0.1", "queue_timeout_ms", 30_000),

@@ -57,6 +57,11 @@ fn every_change_is_done_once_and_answered_twice() {
     keyed(&mut client, "removal", "DELETE", "/v1/worlds/a/particles/0", "").expect(404);
     keyed(&mut client, "end", "DELETE", "/v1/worlds/a", "").expect(204);
     keyed(&mut client, "end", "DELETE", "/v1/worlds/a", "").expect(404);
+    // Sent once more it spares a new world of that name.
+    client.put("/v1/worlds/a", "").expect(201);
+    let late = keyed(&mut client, "end", "DELETE", "/v1/worlds/a", "").expect(204);
+    assert_eq!(late.header("idempotency-replayed"), Some("true"));
+    client.delete("/v1/worlds/a").expect(204);
     // With the world its answers are gone.
     keyed(&mut client, "key 0", "PUT", "/v1/worlds/a", r#"{"gravity":"standard"}"#).expect(201);
     assert_eq!(client.get("/v1/worlds/a").json()["revision"], 0);

@@ -1,7 +1,7 @@
 //! A service on a real socket, and a client that is nobody's library: what it sends and reads is plain HTTP/1.1 text.
 
 use std::collections::HashMap;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
@@ -177,6 +177,14 @@ impl Client {
         let mut bytes = vec![0; count];
         self.stream.read_exact(&mut bytes).expect("as many");
         bytes
+    }
+
+    /// Reads what there is, and whether that was the end.
+    pub(crate) fn is_gone(&mut self) -> bool {
+        match self.stream.read(&mut [0; 4096]) {
+            Ok(read) => read == 0,
+            Err(error) => !matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut),
+        }
     }
 
     /// Reads to the end, and whether there was one before patience ended.

@@ -80,6 +80,7 @@ struct ServiceLimits {
     idle_timeout_ms: u64,
     body_timeout_ms: u64,
     write_timeout_ms: u64,
+    write_rate_min: u64,
     drain_timeout_ms: u64,
 }
 
@@ -133,6 +134,7 @@ async fn describe_service(State(app): State<Arc<App>>, read: Read) -> Result<Res
             idle_timeout_ms: config.idle_timeout_ms,
             body_timeout_ms: config.body_timeout_ms,
             write_timeout_ms: config.write_timeout_ms,
+            write_rate_min: config.write_rate_min,
             drain_timeout_ms: config.drain_timeout_ms,
         },
         features,
@@ -199,7 +201,7 @@ async fn docs(uri: Uri) -> Result<Response, Problem> {
 /// A part of that page
 #[utoipa::path(get, path = "/docs/{asset}", tag = "service",
     params(("asset" = String, Path, example = "swagger-ui.css")),
-    responses((status = 200, body = String, content_type = "text/plain")))]
+    responses((status = 200, body = String, content_type = "*/*")))]
 async fn docs_asset(Path(asset): Path<String>, uri: Uri) -> Result<Response, Problem> {
     no_parameters(&uri)?;
     let (content_type, bytes) = swagger_ui(&asset)?;

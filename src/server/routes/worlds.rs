@@ -362,6 +362,18 @@ async fn configure_world(State(app): State<Arc<App>>, change: Change) -> Result<
 async fn delete_world(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
     let any = app.slot(&change.target)?;
     let query = change.query::<NoParameters>().map(|_| ());
+    // Sent again, it does not remove another world that has the name by now.
+    let claim = match &change.key {
+        None => None,
+        Some(key) => match app.shared.removals.attempt(&key.clone()?.of_removal())? {
+            Attempt::Again(reply) => return Ok(reply.into_response()),
+            Attempt::First(claim) => Some(claim),
+        },
+    };
     let forget = || app.worlds.remove(&change.target.world);
-    with_slot!(any, slot => slot.remove(&change, query, forget).await)
+    let response = with_slot!(any, slot => slot.remove(&change, query, forget).await)?;
+    if let Some(claim) = claim {
+        claim.answered(&Reply::no_content());
+    }
+    Ok(response)
 }
