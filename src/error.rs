@@ -167,6 +167,16 @@ pub enum Error {
     Cancelled,
 }
 
+/// Which of several commands was refused, and why.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error("command {index}, from 0: {error}")]
+pub struct BatchError {
+    /// Its place among them.
+    pub index: usize,
+    /// Why.
+    pub error: Error,
+}
+
 /// A value in a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Place {

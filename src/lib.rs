@@ -54,7 +54,7 @@ pub use command::{
     Advance, Advanced, Command, Configure, Mass, NewParticles, Outcome, Particle, Plane, Properties, Selection,
     Settings, StepError, Tolerance, Until, Values, gravity,
 };
-pub use error::{Error, Field, Limit, Limits, Place, Quantity};
+pub use error::{BatchError, Error, Field, Limit, Limits, Place, Quantity};
 pub use forces::{Drag, Forces, Gravitation};
 pub use glam::{DVec3, Vec3};
 pub use ids::ParticleId;

@@ -16,6 +16,7 @@ pub(crate) const PARTICLES_MAX: &str = "particles-max";
 pub(crate) const STEPS_MAX: &str = "steps-max";
 pub(crate) const PARTICLE_STEPS_MAX: &str = "particle-steps-max";
 pub(crate) const INTERACTIONS_MAX: &str = "interactions-max";
+pub(crate) const COMMANDS_MAX: &str = "commands-max";
 pub(crate) const WORLDS_MAX: &str = "worlds-max";
 pub(crate) const BODY_BYTES_MAX: &str = "body-bytes-max";
 pub(crate) const MEMORY_BYTES_MAX: &str = "memory-bytes-max";
@@ -138,6 +139,9 @@ pub struct Config {
     /// The most interactions of one advance, under gravitation: half a minute of one core.
     #[arg(long, value_name = "N", env = "POINTMASS_INTERACTIONS_MAX", default_value_t = 20_000_000_000)]
     pub interactions_max: u64,
+    /// The most commands of one batch.
+    #[arg(long, value_name = "N", env = "POINTMASS_COMMANDS_MAX", default_value_t = 10_000)]
+    pub commands_max: usize,
     /// The largest request body where it speaks of many particles: two hundred thousand of them; elsewhere 1 MiB.
     #[arg(long, value_name = "BYTES", env = "POINTMASS_BODY_BYTES_MAX", default_value_t = 64 << 20)]
     pub body_bytes_max: usize,
@@ -227,6 +231,12 @@ impl Config {
             particle_steps: self.particle_steps_max,
             interactions: self.interactions_max,
         }
+    }
+
+    /// The most objects in a body: particles, and commands, none of which has more than four.
+    pub(crate) fn objects_max(&self) -> u64 {
+        let commands = (self.commands_max as u64).saturating_mul(4);
+        self.particles_max.saturating_add(commands).saturating_add(self.worlds_max as u64)
     }
 
     /// How many long advances may run at once. More than cores: the operating system shares those among worlds.

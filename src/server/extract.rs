@@ -69,6 +69,12 @@ impl Read {
 }
 
 impl Change {
+    /// The part of a request for many worlds that one of them gets.
+    pub(crate) fn of_world(&self, name: &str, body: Bytes) -> Self {
+        let target = Target { world: name.to_owned(), particle: None };
+        Self { target, key: self.key.clone(), body, ..Self::default() }
+    }
+
     pub(crate) fn query<Q: DeserializeOwned>(&self) -> Result<Q, Problem> {
         query(&self.uri)
     }
@@ -123,7 +129,7 @@ impl FromRequest<Arc<App>> for Change {
         check_content(&parts.headers)?;
         let target = target(&mut parts, state).await?;
         // Only what can speak of many particles has a large body.
-        let is_bulk = parts.uri.path().ends_with("/particles") || parts.uri.path().ends_with("/forces");
+        let is_bulk = ["/particles", "/forces", "/commands"].iter().any(|end| parts.uri.path().ends_with(end));
         let limit = state.config.body_bytes_max;
         let limit = if is_bulk { limit } else { limit.min(SMALL_BODY_BYTES_MAX) };
         let mut charge = Charge::none(&state.shared.in_flight);
@@ -134,8 +140,8 @@ impl FromRequest<Arc<App>> for Change {
             Problem::new(Code::BodyTimeout, format!("the body did not arrive within {timeout} ms"))
         })??;
         if is_bulk {
-            // More of them than particles in a world are refused before they are parsed.
-            charge.grow(objects(&body).min(state.config.particles_max) * OBJECT_BYTES)?;
+            // More of them are refused before they are parsed.
+            charge.grow(objects(&body).min(state.config.objects_max()) * OBJECT_BYTES)?;
         }
         Ok(Self {
             target,
@@ -286,6 +292,14 @@ impl Preconditions {
             Some(_) => {
                 Err(Problem::new(Code::RevisionMismatch, "If-Match asks for a revision of a world that does not exist"))
             }
+            None => Ok(()),
+        }
+    }
+
+    /// The same for many worlds: none of them is meant.
+    pub(crate) fn check_many(&self) -> Result<(), Problem> {
+        match self.if_match {
+            Some(_) => Err(Problem::new(Code::RevisionMismatch, "If-Match speaks of one world, the request of many")),
             None => Ok(()),
         }
     }

@@ -109,6 +109,7 @@ fn documented_routes() -> OpenApiRouter<Arc<App>> {
         .merge(routes::particles::routes())
         .merge(routes::forces::routes())
         .merge(routes::advance::routes())
+        .merge(routes::commands::routes())
         .merge(routes::trajectory::routes())
         .merge(routes::service::routes())
 }

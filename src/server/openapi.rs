@@ -25,6 +25,7 @@ pub(crate) fn document(mut api: OpenApi) -> Vec<u8> {
             ("particles", "Particles, their properties and their state"),
             ("forces", "Forces and impulses"),
             ("advance", "Time"),
+            ("commands", "Several commands in one request"),
             ("service", "The service itself"),
         ]
         .map(|(name, description)| {
@@ -201,6 +202,11 @@ pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
 
 /// Those of one route, besides what follows from path and method.
 fn of_operation(operation: &str) -> Vec<Code> {
+    if operation == "run_commands" {
+        let commands = ["create_particles", "set_particles", "add_forces", "advance"].map(of_operation).concat();
+        let seen = &mut std::collections::HashSet::new();
+        return commands.into_iter().chain([Code::RemovedTwice]).filter(|code| seen.insert(*code)).collect();
+    }
     let mut codes = Vec::new();
     let masses = [Code::MassNotPositive, Code::InverseMassNegative, Code::MassAndInverseMass];
     let serving = [Code::IntegratorCannotServeDamping, Code::IntegratorCannotServeForces];
@@ -237,7 +243,7 @@ fn of_operation(operation: &str) -> Vec<Code> {
             codes.extend(masses);
             codes.push(Code::MissingField);
         }
-        "place_particle" | "add_force" | "apply_impulse" => codes.push(Code::MissingField),
+        "place_particle" | "add_force" | "apply_impulse" | "run_commands_in_worlds" => codes.push(Code::MissingField),
         "add_forces" => codes.extend([Code::MissingField, Code::LengthMismatch, Code::UnknownParticle]),
         "read_trajectory" => codes.extend([
             Code::NotFinite,

@@ -327,6 +327,20 @@ impl Problem {
         Self { pointer: Some(pointer.into()), ..Self::new(code, detail) }
     }
 
+    /// The same of a part of the request, to which this pointer leads.
+    pub(crate) fn under(mut self, prefix: &str) -> Self {
+        // Line and column would be those of the part.
+        if let Some(end) = self.detail.rfind(" at line ") {
+            self.detail.truncate(end);
+        }
+        Self { pointer: Some(format!("{prefix}{}", self.pointer.unwrap_or_default())), ..self }
+    }
+
+    /// The same with more to say.
+    pub(crate) fn adding(self, more: &str) -> Self {
+        Self { detail: self.detail + more, ..self }
+    }
+
     /// The same of query parameters, into which no pointer leads.
     pub(crate) fn without_pointer(self) -> Self {
         Self { pointer: None, ..self }

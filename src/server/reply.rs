@@ -15,7 +15,7 @@ pub(crate) struct Reply {
     pub(crate) body: Bytes,
     location: Option<String>,
     revision: Option<u64>,
-    is_replayed: bool,
+    pub(crate) is_replayed: bool,
 }
 
 impl Reply {

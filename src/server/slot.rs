@@ -272,7 +272,7 @@ impl<R: WireReal> Slot<R> {
         parsed: Result<T, Problem>,
         cost: impl Fn(&World<R>, &T) -> Cost,
         apply: impl FnOnce(&mut World<R>, T, &AtomicBool) -> Result<Reply, Problem> + Send + 'static,
-    ) -> Result<Response, Problem> {
+    ) -> Result<Reply, Problem> {
         let claim = match change.key.as_ref().map(|key| self.answers.attempt(key.as_ref().map_err(Clone::clone)?)) {
             Some(Ok(Attempt::First(claim))) => Some(claim),
             None => None,
@@ -282,7 +282,7 @@ impl<R: WireReal> Slot<R> {
                 if change.target.names_particle() {
                     self.lock().await?.world(&change.target)?;
                 }
-                return told.map(|attempt| attempt.reply().into_response());
+                return told.map(Attempt::reply);
             }
         };
         let check = |world: &World<R>| {
@@ -309,7 +309,7 @@ impl<R: WireReal> Slot<R> {
             }
             held.interrupted = false;
             let charge = turn.end(&slot.answers);
-            Ok(reply?.charged(charge).into_response())
+            Ok(reply?.charged(charge))
         })
         .await
     }
@@ -550,15 +550,15 @@ mod tests {
         assert!(poll_once(first.as_mut()).await.is_none() && poll_once(second.as_mut()).await.is_none(), "they wait");
         assert_eq!(shared.long_places.queue.depth_and_age().0, 2);
         let short = slot.change(&change, Ok(()), |_, ()| Cost::default(), |_, (), _| Ok(Reply::no_content()));
-        assert_eq!(short.await.expect("the world is free").status(), 204);
+        assert_eq!(short.await.expect("the world is free").status, 204);
         // Got a place, found the world taken: gives the place back.
         let held = slot.lock().await.expect("free");
         drop(taken);
         assert!(poll_once(first.as_mut()).await.is_none(), "it waits for the world");
         assert!(shared.long_places.try_take().is_some(), "and not in a place");
         drop(held);
-        assert_eq!(first.await.expect("its turn").status(), 204);
-        assert_eq!(second.await.expect("its turn").status(), 204);
+        assert_eq!(first.await.expect("its turn").status, 204);
+        assert_eq!(second.await.expect("its turn").status, 204);
     }
 
     async fn poll_once<F: Future>(mut future: std::pin::Pin<&mut F>) -> Option<F::Output> {

@@ -4,9 +4,12 @@ use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 use utoipa::ToSchema;
+use utoipa::openapi::RefOr;
+use utoipa::openapi::schema::{ArrayBuilder, Schema};
 
 use crate::column::Column;
 use crate::command::{Command, Mass, NewParticles, Particle, Properties, Selection};
+use crate::error::Error;
 use crate::forces::Drag;
 use crate::ids::ParticleId;
 use crate::integrator::{DampingLaw, Integrator};
@@ -216,6 +219,16 @@ impl Choice for Property {
             Self::GravitationalMass => "gravitational_mass",
         }
     }
+}
+
+/// A list of properties, for the description of the service.
+pub(crate) fn properties_schema() -> Schema {
+    ArrayBuilder::new().items(RefOr::T(choices::<Property>())).build().into()
+}
+
+/// What a list of names says.
+pub(crate) fn named<T>(names: Vec<Named<T>>) -> Vec<T> {
+    names.into_iter().map(|Named(choice)| choice).collect()
 }
 
 /// Reads `fields=position,velocity`.
@@ -495,7 +508,10 @@ pub(crate) fn selection(ids: Vec<u64>) -> Selection {
     Selection::Ids(ids.into_iter().map(ParticleId).collect())
 }
 
-fn optional_column<E: Element>(raw: Option<&RawValue>, field: &str) -> Result<Option<Column<E::Value>>, Problem> {
+pub(crate) fn optional_column<E: Element>(
+    raw: Option<&RawValue>,
+    field: &str,
+) -> Result<Option<Column<E::Value>>, Problem> {
     raw.map(|raw| column::<E>(raw.get(), field)).transpose()
 }
 
@@ -643,7 +659,27 @@ pub(crate) struct State<R: WireReal> {
 }
 
 impl<R: WireReal> State<R> {
+    /// Of all particles.
     pub(crate) fn of(world: &World<R>, properties: &[Property]) -> Self {
+        Self::collect(world, world.particle_count(), world.particles(), properties)
+    }
+
+    /// Of these, in this order.
+    pub(crate) fn of_ids(world: &World<R>, ids: &[u64], properties: &[Property]) -> Result<Self, Error> {
+        let particle = |(index, &id)| {
+            let id = ParticleId(id);
+            world.particle(id).map_err(|_| Error::UnknownParticle { id, index })
+        };
+        let particles = ids.iter().enumerate().map(particle).collect::<Result<Vec<_>, _>>()?;
+        Ok(Self::collect(world, ids.len(), particles.into_iter(), properties))
+    }
+
+    fn collect(
+        world: &World<R>,
+        count: usize,
+        particles: impl Iterator<Item = ParticleState<R>>,
+        properties: &[Property],
+    ) -> Self {
         fn start<T>(wanted: bool, count: usize) -> Option<Vec<T>> {
             wanted.then(|| Vec::with_capacity(count))
         }
@@ -652,7 +688,6 @@ impl<R: WireReal> State<R> {
                 column.push(value());
             }
         }
-        let count = world.particle_count();
         let wants = |property| properties.contains(&property);
         let mut state = Self {
             time: world.time(),
@@ -669,7 +704,7 @@ impl<R: WireReal> State<R> {
             drag: start(wants(Property::Drag), count),
             gravitational_mass: start(wants(Property::GravitationalMass), count),
         };
-        for particle in world.particles() {
+        for particle in particles {
             state.id.push(particle.id.0);
             push(&mut state.position, || particle.position.into());
             push(&mut state.velocity, || particle.velocity.into());

@@ -115,16 +115,25 @@ impl<R: Real> World<R> {
     /// is refused at once.
     #[must_use]
     pub fn work(&self, advance: &Advance) -> u64 {
-        let particles = self.particles.len() as u64;
+        self.work_with(advance, 0)
+    }
+
+    /// The same with so many more particles, all of which attract.
+    pub(crate) fn work_with(&self, advance: &Advance, more: u64) -> u64 {
+        let particles = (self.particles.len() as u64).saturating_add(more);
         match self.plan(advance) {
             Err(_) => 0,
             Ok(plan) if self.settings.integrator != Integrator::Exact => {
                 let evaluations = self.settings.integrator.evaluations() * plan.steps;
-                particles.saturating_mul(evaluations).saturating_add(self.interactions(plan.steps))
+                let pairs = match self.settings.forces.gravitation {
+                    Some(_) if more > 0 => particles.saturating_mul(particles),
+                    Some(_) | None => self.pairs(),
+                };
+                particles.saturating_add(pairs).saturating_mul(evaluations)
             }
             Ok(plan) => {
                 let clock = self.clock + DoubleDouble::from(plan.duration);
-                if self.bounds.hold_until::<R>(clock) {
+                if more == 0 && self.bounds.hold_until::<R>(clock) {
                     match self.particles.force.acting() {
                         Acting::Few(ids) => ids.len() as u64,
                         Acting::Many => particles,

@@ -1,6 +1,7 @@
 //! A world: particles, settings and a clock; and the one place where commands change it.
 
 mod advance;
+mod batch;
 mod bounds;
 mod change;
 #[cfg(feature = "digest")]
@@ -29,6 +30,8 @@ use drive::Factors;
 use motion::{Carrier, Rows, Span};
 
 pub use advance::StepPlan;
+#[cfg(feature = "server")]
+pub(crate) use batch::{Keep, Part};
 #[cfg(feature = "digest")]
 pub use digest::Digest;
 pub use trajectory::Trajectory;

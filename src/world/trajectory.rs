@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use crate::closed_form::Decay;
 use crate::command::Advance;
 use crate::double_double::DoubleDouble;
-use crate::error::{Error, Limits};
+use crate::error::Error;
 use crate::ids::ParticleId;
 use crate::integrator::Integrator;
 use crate::kernel;
@@ -89,7 +89,6 @@ impl<R: Real> World<R> {
         let alone = self.moves_alone();
         let mut future = if alone { self.alone(row) } else { self.clone() };
         let row = if alone { 0 } else { row };
-        let (len, pairs) = (future.particles.len() as u64, future.pairs());
         let forces = future.particles.force.clone();
         for sample in 1..samples {
             if cancelled.load(Ordering::Relaxed) {
@@ -107,11 +106,7 @@ impl<R: Real> World<R> {
                 }
             })?;
             // What one advance may cost, all of them may.
-            let steps = done.steps + done.rejected_steps;
-            let Limits { steps: left, particle_steps, interactions, .. } = &mut future.limits;
-            *left = left.saturating_sub(steps);
-            *particle_steps = particle_steps.saturating_sub(steps.saturating_mul(len));
-            *interactions = interactions.saturating_sub(done.evaluations.saturating_mul(pairs));
+            future.spend(done.steps + done.rejected_steps, done.evaluations);
             push(future.clock, (future.particles.position[row], future.particles.velocity[row]));
         }
         Ok(way)

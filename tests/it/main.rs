@@ -7,6 +7,8 @@
 mod access;
 /// The binary as its user meets it.
 mod command_line;
+/// Several commands in one request.
+mod commands;
 /// Many clients at once.
 mod concurrency;
 /// Clients that are slow or cut short.

@@ -46,6 +46,8 @@ fn every_route_of_the_contract_is_described() {
         "GET /problems/{code}",
         "GET /readyz",
         "GET /v1",
+        "POST /v1/commands",
+        "POST /v1/worlds/{world}/commands",
         "GET /v1/worlds",
         "POST /v1/worlds",
         "PUT /v1/worlds/{world}",

@@ -52,9 +52,10 @@ fn its_tables_name_what_there_is() {
     for (row, name) in [
         ("| worlds | ", "worlds_max"),
         ("| particles of a world | ", "particles_max"),
-        ("| steps of an advance | ", "steps_max"),
-        ("| steps x particles of an advance | ", "particle_steps_max"),
-        ("| interactions of an advance, under gravitation | ", "interactions_max"),
+        ("| commands of a batch | ", "commands_max"),
+        ("| steps of an advance, or of all of a batch | ", "steps_max"),
+        ("| steps x particles of them | ", "particle_steps_max"),
+        ("| interactions of them, under gravitation | ", "interactions_max"),
     ] {
         assert!(README.contains(&format!("{row}{} |", thousands(name))), "{name} is {}", thousands(name));
     }

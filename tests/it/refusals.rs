@@ -226,6 +226,46 @@ const ROWS: &[Row] = &[
     ("POST", "@/advance", "{\"duration\":1,\"until\":{\"particle\":0,\"plane\":{\"normal\":[0,1,0],\"d\":0}}}", 422, "unknown_field", Some("/until/plane/d")),
     ("POST", "@/advance", "{\"duration\":1,\"until\":{\"particle\":3,\"plane\":{\"normal\":[0,1,0]}}}", 404, "unknown_particle", Some("/until/particle")),
     ("POST", "@/advance", "{\"duration\":1,\"dry_run\":true,\"until\":{\"particle\":3,\"plane\":{\"normal\":[0,1,0]}}}", 404, "unknown_particle", Some("/until/particle")),
+    // Commands.
+    ("POST", "/v1/worlds/nowhere/commands", "{", 404, "unknown_world", None),
+    ("POST", "@/commands", "{\"commands\":[{]}", 400, "malformed_json", None),
+    ("POST", "@/commands", "[]", 422, "invalid_field", Some("")),
+    ("POST", "@/commands", "{}", 422, "missing_field", Some("/commands")),
+    ("POST", "@/commands", "{\"commands\":{}}", 422, "invalid_field", Some("/commands")),
+    ("POST", "@/commands", "{\"commands\":[],\"if\":1}", 422, "unknown_field", Some("/if")),
+    ("POST", "@/commands", "{\"commands\":[{}]}", 422, "invalid_field", Some("/commands/0")),
+    ("POST", "@/commands", "{\"commands\":[[]]}", 422, "invalid_field", Some("/commands/0")),
+    ("POST", "@/commands", "{\"commands\":[\"read\"]}", 422, "invalid_field", Some("/commands/0")),
+    ("POST", "@/commands", "{\"commands\":[{\"read\":{}},{\"read\":{},\"set\":{}}]}", 422, "invalid_field", Some("/commands/1")),
+    ("POST", "@/commands", "{\"commands\":[{\"jump\":{}}]}", 422, "unknown_field", Some("/commands/0/jump")),
+    ("POST", "@/commands", "{\"commands\":[{\"read\":{},\"read\":{}}]}", 422, "duplicate_field", Some("/commands/0/read")),
+    ("POST", "@/commands", "{\"commands\":[{\"read\":null}]}", 422, "invalid_field", Some("/commands/0/read")),
+    ("POST", "@/commands", "{\"commands\":[{\"read\":{\"fields\":[\"speed\"]}}]}", 422, "invalid_field", Some("/commands/0/read/fields/0")),
+    ("POST", "@/commands", "{\"commands\":[{\"read\":{\"ids\":[0,3]}}]}", 404, "unknown_particle", Some("/commands/0/read/ids/1")),
+    ("POST", "@/commands", "{\"commands\":[{\"add_force\":{\"ids\":[\"0\"],\"force\":[1,0,0]}}]}", 422, "invalid_field", Some("/commands/0/add_force/ids/0")),
+    ("POST", "@/commands", "{\"commands\":[{\"add_force\":{\"ids\":[0],\"force\":[[1,0]]}}]}", 422, "invalid_field", Some("/commands/0/add_force/force/0")),
+    ("POST", "@/commands", "{\"commands\":[{\"add_force\":[[0],[1,0,0]]}]}", 422, "invalid_field", Some("/commands/0/add_force")),
+    ("POST", "@/commands", "{\"commands\":[{\"add_force\":{\"ids\":[0]}}]}", 422, "missing_field", Some("/commands/0/add_force/force")),
+    ("POST", "@/commands", "{\"commands\":[{\"read\":{}},{\"impulse\":{\"ids\":[1],\"impulse\":[1e308,0,0]}}]}", 422, "not_finite", Some("/commands/1/impulse/impulse")),
+    ("POST", "%/commands", "{\"commands\":[{\"place\":{\"ids\":[0],\"position\":[0,1e39,0]}}]}", 422, "not_finite", Some("/commands/0/place/position/1")),
+    ("POST", "@/commands", "{\"commands\":[{\"place\":{\"ids\":[0]}}]}", 422, "missing_field", Some("/commands/0/place")),
+    ("POST", "@/commands", "{\"commands\":[{\"set\":{\"position\":[0,0,0]}}]}", 422, "integrator_owns_field", Some("/commands/0/set/position")),
+    ("POST", "@/commands", "{\"commands\":[{\"set\":{\"mass\":1,\"inverse_mass\":1}}]}", 422, "mass_and_inverse_mass", Some("/commands/0/set/inverse_mass")),
+    ("POST", "@/commands", "{\"commands\":[{\"create\":{}},{\"create\":[{},{\"mass\":1,\"mass\":1}]}]}", 422, "duplicate_field", Some("/commands/1/create/1/mass")),
+    ("POST", "@/commands", "{\"commands\":[{\"create\":{\"count\":2,\"mass\":[1]}}]}", 422, "length_mismatch", Some("/commands/0/create/mass")),
+    ("POST", "@/commands", "{\"commands\":[{\"create\":{\"count\":5}},{\"create\":{}}]}", 422, "limit_reached", Some("/commands/1/create")),
+    ("POST", "@/commands", "{\"commands\":[{\"remove\":{\"ids\":[0,1,0]}}]}", 422, "removed_twice", Some("/commands/0/remove/ids/2")),
+    ("POST", "@/commands", "{\"commands\":[{\"remove\":{\"ids\":[0]}},{\"read\":{\"ids\":[0]}}]}", 404, "unknown_particle", Some("/commands/1/read/ids/0")),
+    ("POST", "@/commands", "{\"commands\":[{\"advance\":{\"duration\":1,\"dry_run\":true}}]}", 422, "invalid_field", Some("/commands/0/advance/dry_run")),
+    ("POST", "@/commands", "{\"commands\":[{\"advance\":{\"duration\":1}},{\"advance\":{\"duration\":-1}}]}", 422, "duration_not_positive", Some("/commands/1/advance/duration")),
+    ("POST", "@/commands?x=1", "{\"commands\":[]}", 422, "invalid_parameter", None),
+    ("POST", "/v1/commands", "{\"worlds\":", 400, "malformed_json", None),
+    ("POST", "/v1/commands", "{}", 422, "missing_field", Some("/worlds")),
+    ("POST", "/v1/commands", "{\"worlds\":[]}", 422, "invalid_field", Some("/worlds")),
+    ("POST", "/v1/commands", "{\"worlds\":{\"double\":{\"commands\":[]},\"double\":{\"commands\":[]}}}", 422, "duplicate_field", Some("/worlds/double")),
+    ("POST", "/v1/commands", "{\"worlds\":{\"a\":{},\"b\":{},\"c\":{},\"d\":{}}}", 422, "limit_reached", Some("/worlds")),
+    ("POST", "/v1/commands?x=1", "{\"worlds\":{}}", 422, "invalid_parameter", None),
+    ("GET", "/v1/commands", "", 405, "method_not_allowed", None),
     // Trajectories.
     ("POST", "@/particles/0/trajectory", "{}", 405, "method_not_allowed", None),
     ("GET", "/v1/worlds/nowhere/particles/0/trajectory", "", 404, "unknown_world", None),
@@ -449,6 +489,7 @@ fn nesting_has_no_price() {
             ("/v1/worlds/a/particles", deep.clone()),
             ("/v1/worlds/a/particles", format!("{{\"count\":1,\"position\":{deep}}}")),
             ("/v1/worlds/a/advance", format!("{{\"duration\":1,\"until\":{deep}}}")),
+            ("/v1/worlds/a/commands", format!("{{\"commands\":[{{\"set\":{{\"mass\":{deep}}}}}]}}")),
         ] {
             client.post(path, &body).expect(422);
         }
@@ -470,7 +511,6 @@ fn every_code_is_seen() {
         "shutting_down",             // command_line.rs
         "internal_error",            // src/server/mod.rs
         "world_quarantined",         // src/server/slot.rs
-        "removed_twice",             // no route removes several yet
         "limit_reached",             // above
         "answer_too_large",          // above
         "overloaded",                // overload.rs

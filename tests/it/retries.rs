@@ -33,6 +33,7 @@ fn every_change_is_done_once_and_answered_twice() {
         ("POST", "/v1/worlds/a/particles/0/place", r#"{"position":[1,2,3]}"#),
         ("POST", "/v1/worlds/a/forces", r#"{"ids":[0,1],"force":[1,0,0]}"#),
         ("POST", "/v1/worlds/a/advance", r#"{"duration":0.5,"return":["position"]}"#),
+        ("POST", "/v1/worlds/a/commands", r#"{"commands":[{"create":{}},{"advance":{"duration":0.5}},{"read":{}}]}"#),
     ]
     .into_iter()
     .enumerate()

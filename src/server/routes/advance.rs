@@ -6,8 +6,6 @@ use axum::extract::State;
 use axum::response::Response;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
-use utoipa::openapi::RefOr;
-use utoipa::openapi::schema::{ArrayBuilder, Schema};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use crate::command::{Advance, Advanced, Command, Outcome, Plane, Settings, StepError, Until};
@@ -16,7 +14,7 @@ use crate::integrator::Integrator;
 use crate::server::App;
 use crate::server::config::{Config, DURATION_MAX};
 use crate::server::extract::Change;
-use crate::server::json::{self, Named, Object, Vector, WireReal, choices, present};
+use crate::server::json::{self, Named, Object, Vector, WireReal, present};
 use crate::server::memory::{ADAPTIVE_BYTES, COMPARED_BYTES, PARTICLE_BYTES, SYSTEM_BYTES};
 use crate::server::problem::{Code, Problem, Shape};
 use crate::server::reply::Reply;
@@ -35,7 +33,7 @@ pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
     "duration": 0.5, "steps": 30, "return": ["position"], "report_error": true,
     "until": {"particle": 0, "plane": {"normal": [0.0, 1.0, 0.0], "offset": 0.0}}
 }))]
-struct AdvanceBody {
+pub(crate) struct AdvanceBody {
     /// In seconds, above 0.
     #[schema(exclusive_minimum = 0)]
     duration: f64,
@@ -49,7 +47,7 @@ struct AdvanceBody {
     max_step: Option<f64>,
     /// Properties that the answer has as columns in `state`.
     #[serde(default, deserialize_with = "present", rename = "return")]
-    #[schema(schema_with = properties_schema, required = false)]
+    #[schema(schema_with = wire::properties_schema, required = false)]
     properties: Option<Vec<Named<Property>>>,
     /// true: answer what would be, and change nothing.
     #[serde(default)]
@@ -97,10 +95,6 @@ struct StepErrorBody {
     velocity: f64,
 }
 
-fn properties_schema() -> Schema {
-    ArrayBuilder::new().items(RefOr::T(choices::<Property>())).build().into()
-}
-
 /// What the advance did.
 #[derive(Debug, Serialize, ToSchema)]
 #[serde(bound = "")]
@@ -108,7 +102,7 @@ fn properties_schema() -> Schema {
     "time": 0.5, "duration": 0.5, "steps": 1, "step": 0.5, "step_count": 1,
     "integrated": 0, "deferred": 3, "skipped": 1, "revision": 7
 }))]
-struct AdvancedBody<R: WireReal> {
+pub(crate) struct AdvancedBody<R: WireReal> {
     /// The clock of the world, in seconds.
     time: f64,
     /// In seconds, as asked.
@@ -141,7 +135,10 @@ struct AdvancedBody<R: WireReal> {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     crossed: Option<bool>,
-    revision: u64,
+    /// Absent in a batch, which has one for all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    revision: Option<u64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<wire::State<f64>>, nullable = false)]
     state: Option<wire::State<R>>,
@@ -162,8 +159,7 @@ async fn advance(State(app): State<Arc<App>>, change: Change) -> Result<Response
     with_slot!(any, slot => {
         change.apply(&slot, parsed, cost, move |world, body, cancelled| {
             let command = Command::Advance(body.advance());
-            let properties: Option<Vec<Property>> =
-                body.properties.map(|names| names.into_iter().map(|Named(property)| property).collect());
+            let properties = body.properties.map(wire::named);
             let apply = |world: &mut World<_>| {
                 let outcome = world.apply_unless(&command, cancelled).map_err(|error| Problem::from_engine(error, Shape::World))?;
                 let Outcome::Advanced(advanced) = outcome else { unreachable!("an advance answers with what it advanced") };
@@ -200,11 +196,14 @@ fn cost<R: WireReal>(world: &World<R>, body: &AdvanceBody) -> Cost {
     let copied = if body.dry_run { particles } else { 0 };
     let advance = body.advance();
     let work = world.work(&advance).saturating_add(written + copied);
-    Cost { bytes: copied * PARTICLE_BYTES + bytes_of_copies(world, &advance), ..Cost::of(work).answering(written) }
+    Cost {
+        bytes: copied * PARTICLE_BYTES + bytes_of_copies(world, &advance, particles),
+        ..Cost::of(work).answering(written)
+    }
 }
 
-/// What an advance takes besides the world, until it is done.
-pub(crate) fn bytes_of_copies<R: WireReal>(world: &World<R>, advance: &Advance) -> u64 {
+/// What an advance of so many particles takes besides the world, until it is done.
+pub(crate) fn bytes_of_copies<R: WireReal>(world: &World<R>, advance: &Advance, particles: u64) -> u64 {
     let Settings { integrator, forces, .. } = *world.settings();
     if integrator == Integrator::Exact {
         return 0;
@@ -213,10 +212,20 @@ pub(crate) fn bytes_of_copies<R: WireReal>(world: &World<R>, advance: &Advance) 
     let system = if in_place { 0 } else { SYSTEM_BYTES };
     let system = if integrator == Integrator::Dop853 { ADAPTIVE_BYTES } else { system };
     let compared = if advance.report_error { COMPARED_BYTES } else { 0 };
-    (system + compared) * world.particle_count() as u64
+    particles.saturating_mul(system + compared)
 }
 
 impl AdvanceBody {
+    /// As one command of several, and the columns to return.
+    pub(crate) fn in_batch(self) -> Result<(Advance, Option<Vec<Property>>), Problem> {
+        if self.dry_run {
+            let detail = "a batch has no dry run of an advance; send it as a request of its own";
+            return Err(Problem::at(Code::InvalidField, "/dry_run", detail));
+        }
+        let advance = self.advance();
+        Ok((advance, self.properties.map(wire::named)))
+    }
+
     fn advance(&self) -> Advance {
         let until = self.until.as_ref().map(|Object(UntilBody { particle, plane: Object(plane) })| Until {
             particle: ParticleId(*particle),
@@ -228,6 +237,16 @@ impl AdvanceBody {
 }
 
 impl<R: WireReal> AdvancedBody<R> {
+    /// Of one command of several.
+    pub(crate) fn in_batch(
+        advanced: &Advanced,
+        world: &World<R>,
+        report_error: bool,
+        state: Option<wire::State<R>>,
+    ) -> Self {
+        Self { revision: None, state, ..Self::new(advanced, world, report_error) }
+    }
+
     fn new(advanced: &Advanced, world: &World<R>, report_error: bool) -> Self {
         let Advanced { time, duration, steps, step, step_count, integrated, deferred, skipped, crossed, .. } =
             *advanced;
@@ -245,7 +264,7 @@ impl<R: WireReal> AdvancedBody<R> {
             evaluations: chooses.then_some(advanced.evaluations),
             error: report_error.then(|| advanced.error.map(StepErrorBody::new)),
             crossed,
-            revision: world.revision(),
+            revision: Some(world.revision()),
             state: None,
         }
     }

@@ -46,12 +46,19 @@ struct ImpulseBody<R: WireReal> {
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(as = Forces, example = json!({"ids": [0, 2], "force": [[1.0, 0.0, 0.0], [0.0, 2.0, 0.0]]}))]
-struct ForcesBody<'a> {
+pub(crate) struct ForcesBody<'a> {
     ids: Vec<u64>,
     /// In newtons.
     #[serde(borrow)]
     #[schema(value_type = VectorColumn)]
     force: &'a RawValue,
+}
+
+impl ForcesBody<'_> {
+    pub(crate) fn command<R: WireReal>(self) -> Result<Command<R>, Problem> {
+        let force = column::<Vector<R>>(self.force.get(), "force")?;
+        Ok(Command::AddForce { ids: selection(self.ids), force })
+    }
 }
 
 /// Adds a force
@@ -89,8 +96,7 @@ async fn apply_impulse(State(app): State<Arc<App>>, change: Change) -> Result<Re
     responses((status = 200, body = Changed, headers(("etag" = String)))))]
 async fn add_forces(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
     fn read<R: WireReal>(body: &[u8]) -> Result<Command<R>, Problem> {
-        let Object(ForcesBody { ids, force }) = json::parse(body)?;
-        Ok(Command::AddForce { ids: selection(ids), force: column::<Vector<R>>(force.get(), "force")? })
+        json::parse::<Object<ForcesBody<'_>>>(body)?.0.command()
     }
     let any = app.slot(&change.target)?;
     with_slot!(any, slot => {

@@ -1,6 +1,7 @@
 //! One resource, one file: its routes first, then its shapes, then its handlers. Here is what they share.
 
 pub(crate) mod advance;
+pub(crate) mod commands;
 pub(crate) mod forces;
 pub(crate) mod particles;
 pub(crate) mod service;
@@ -10,7 +11,7 @@ pub(crate) mod worlds;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use axum::response::Response;
+use axum::response::{IntoResponse, Response};
 
 use crate::command::{Command, Outcome, Selection};
 use crate::ids::ParticleId;
@@ -33,7 +34,7 @@ impl Change {
         apply: impl FnOnce(&mut World<R>, T, &AtomicBool) -> Result<Reply, Problem> + Send + 'static,
     ) -> Result<Response, Problem> {
         let parsed = parsed.and_then(|parsed| self.query::<NoParameters>().map(|_| parsed));
-        slot.change(self, parsed, cost, apply).await
+        slot.change(self, parsed, cost, apply).await.map(IntoResponse::into_response)
     }
 
     /// Changes the particle of the path by one command; the answer is the particle.

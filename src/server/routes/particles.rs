@@ -41,7 +41,7 @@ pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
 #[schema(as = NewParticles)]
 #[serde(untagged)]
 #[expect(dead_code, reason = "stands for the body in the description")]
-enum CreateBody<'a> {
+pub(crate) enum CreateBody<'a> {
     One(ParticleBody<f64>),
     List(Vec<ParticleBody<f64>>),
     Columns(ColumnsBody<'a>),
@@ -149,12 +149,12 @@ async fn create_particles(State(app): State<Arc<App>>, change: Change) -> Result
 }
 
 /// Particles to create, and how the request said it.
-struct New<R: WireReal> {
-    particles: NewParticles<R>,
-    shape: Shape,
+pub(crate) struct New<R: WireReal> {
+    pub(crate) particles: NewParticles<R>,
+    pub(crate) shape: Shape,
 }
 
-fn read_new<R: WireReal>(body: &[u8], most: u64) -> Result<New<R>, Problem> {
+pub(crate) fn read_new<R: WireReal>(body: &[u8], most: u64) -> Result<New<R>, Problem> {
     if body.trim_ascii_start().starts_with(b"[") {
         // Before they take a hundred times as much memory as their text.
         let asked = objects(body);

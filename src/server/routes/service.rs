@@ -54,6 +54,8 @@ struct ServiceLimits {
     worlds_max: usize,
     particles_max: u64,
     memory_bytes_max: u64,
+    /// Of one batch.
+    commands_max: usize,
     steps_max: u64,
     particle_steps_max: u64,
     /// Pairs of particles x evaluations of one advance, under gravitation.
@@ -111,6 +113,7 @@ async fn describe_service(State(app): State<Arc<App>>, read: Read) -> Result<Res
             worlds_max: config.worlds_max,
             particles_max: config.particles_max,
             memory_bytes_max: config.memory_bytes_max,
+            commands_max: config.commands_max,
             steps_max: config.steps_max,
             particle_steps_max: config.particle_steps_max,
             interactions_max: config.interactions_max,

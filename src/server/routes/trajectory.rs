@@ -102,7 +102,8 @@ impl TrajectoryQuery {
 fn cost<R: WireReal>(world: &World<R>, way: &Way) -> Cost {
     let written = 7 * way.samples as u64;
     let bytes = if world.settings().forces.gravitation.is_some() {
-        PARTICLE_BYTES * world.particle_count() as u64 + bytes_of_copies(world, &Advance::by(way.duration))
+        let particles = world.particle_count() as u64;
+        PARTICLE_BYTES * particles + bytes_of_copies(world, &Advance::by(way.duration), particles)
     } else {
         0
     };

@@ -1,0 +1,630 @@
+//! Several commands in one request: as one change of a world, and for many worlds side by side.
+
+use std::collections::{HashMap, HashSet, VecDeque};
+use std::convert::Infallible;
+use std::fmt;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::{Context, Poll};
+
+use axum::body::{Body, Bytes};
+use axum::extract::State;
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
+use hyper::body::{Frame, SizeHint};
+use serde::de::{Deserializer, Error as _, MapAccess, Visitor};
+use serde::{Deserialize, Serialize};
+use serde_json::value::RawValue;
+use tokio::task::JoinSet;
+use utoipa::ToSchema;
+use utoipa_axum::{router::OpenApiRouter, routes};
+
+use crate::command::{Advance, Advanced, Command, Outcome, Selection};
+use crate::error::{Error, Limit};
+use crate::ids::ParticleId;
+use crate::server::App;
+use crate::server::config::{COMMANDS_MAX, Config, WORLDS_MAX};
+use crate::server::extract::{Change, NoParameters};
+use crate::server::idempotency::IDEMPOTENCY_REPLAYED;
+use crate::server::json::{self, Named, Object, Vector, WireReal, column, parse_part, present};
+use crate::server::memory::{PARTICLE_BYTES, objects};
+use crate::server::problem::{Code, Problem, ProblemBody, Shape};
+use crate::server::reply::Reply;
+use crate::server::routes::advance::{AdvanceBody, AdvancedBody, bytes_of_copies, check_duration};
+use crate::server::routes::forces::ForcesBody;
+use crate::server::routes::particles::{CreateBody, New, read_new};
+use crate::server::slot::{Cost, with_slot};
+use crate::server::wire::{self, Created, Property, SetManyBody, VectorColumn, optional_column, selection};
+use crate::world::{Keep, Part, World};
+
+pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
+    OpenApiRouter::new().routes(routes!(run_commands)).routes(routes!(run_commands_in_worlds))
+}
+
+/// Commands that are one change.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(as = Commands, example = json!({"commands": [
+    {"create": {"position": [0.0, 1.0, 0.0]}}, {"add_force": {"ids": [0], "force": [1.0, 0.0, 0.0]}},
+    {"advance": {"duration": 0.016}}, {"read": {"fields": ["position"], "ids": [0]}}
+]}))]
+struct CommandsBody<'a> {
+    /// Carried out in this order.
+    #[serde(borrow)]
+    #[schema(value_type = Vec<CommandBody<'a>>)]
+    commands: Vec<Object<CommandBody<'a>>>,
+}
+
+/// A command: exactly one of these.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(as = Command, min_properties = 1, max_properties = 1, example = json!({"advance": {"duration": 0.016}}))]
+struct CommandBody<'a> {
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<CreateBody<'a>>, nullable = false)]
+    create: Option<&'a RawValue>,
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<PlacesBody<'a>>, nullable = false)]
+    place: Option<&'a RawValue>,
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<SetManyBody<'a>>, nullable = false)]
+    set: Option<&'a RawValue>,
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<ForcesBody<'a>>, nullable = false)]
+    add_force: Option<&'a RawValue>,
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<ImpulsesBody<'a>>, nullable = false)]
+    impulse: Option<&'a RawValue>,
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<RemovalBody>, nullable = false)]
+    remove: Option<&'a RawValue>,
+    /// Without `dry_run`.
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<AdvanceBody>, nullable = false)]
+    advance: Option<&'a RawValue>,
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<ReadBody>, nullable = false)]
+    read: Option<&'a RawValue>,
+}
+
+/// Teleports: positions, velocities or both; one vector for all of the ids, or a list with one for each.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(as = Places, example = json!({"ids": [0, 2], "position": [[0.0, 1.0, 0.0], [2.0, 1.0, 0.0]]}))]
+struct PlacesBody<'a> {
+    ids: Vec<u64>,
+    /// In metres; absent: they stay.
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<VectorColumn>, nullable = false)]
+    position: Option<&'a RawValue>,
+    /// In m/s; absent: they stay.
+    #[serde(borrow, default, deserialize_with = "present")]
+    #[schema(value_type = Option<VectorColumn>, nullable = false)]
+    velocity: Option<&'a RawValue>,
+}
+
+/// Impulses for many particles: one vector for all of the ids, or a list with one for each.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(as = Impulses, example = json!({"ids": [0, 2], "impulse": [1.0, 0.0, 0.0]}))]
+struct ImpulsesBody<'a> {
+    ids: Vec<u64>,
+    /// In newton seconds.
+    #[serde(borrow)]
+    #[schema(value_type = VectorColumn)]
+    impulse: &'a RawValue,
+}
+
+/// Particles to remove.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(as = Removal, example = json!({"ids": [0, 2]}))]
+struct RemovalBody {
+    /// Each once.
+    ids: Vec<u64>,
+}
+
+/// What to read in the middle of a batch.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(as = ReadColumns, example = json!({"fields": ["position"], "ids": [0, 2]}))]
+struct ReadBody {
+    /// Which columns besides the id; default position and velocity.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(value_type = Option<Vec<String>>, schema_with = wire::properties_schema, required = false)]
+    fields: Option<Vec<Named<Property>>>,
+    /// Which particles, in this order; absent: all, in ascending order of id.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(nullable = false)]
+    ids: Option<Vec<u64>>,
+}
+
+/// What the commands did, in their order.
+#[derive(Debug, Serialize, ToSchema)]
+#[serde(bound = "")]
+#[schema(as = CommandResults, bound = "", example = json!({
+    "results": [{"first_id": 0, "count": 1}, {"count": 1}, {"time": 0.016, "count": 1, "id": [0], "position": [[0.0, 1.0, 0.0]]}],
+    "revision": 1
+}))]
+struct Results<R: WireReal> {
+    #[schema(value_type = Vec<ResultSchema>)]
+    results: Vec<CommandResult<R>>,
+    /// One further, if anything was changed.
+    revision: u64,
+}
+
+#[derive(Debug, Serialize)]
+#[serde(untagged, bound = "")]
+enum CommandResult<R: WireReal> {
+    Created(Created),
+    Changed(Counted),
+    Advanced(Box<AdvancedBody<R>>),
+    Read(Box<wire::State<R>>),
+}
+
+/// What a command did: ids of created particles, a count, the report of an advance, or the columns of a read.
+#[derive(ToSchema)]
+#[schema(as = CommandResult)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "stands for the result in the description")]
+enum ResultSchema {
+    Created(Created),
+    Changed(Counted),
+    Advanced(AdvancedBody<f64>),
+    Read(wire::State<f64>),
+}
+
+/// How many particles a command spoke of.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"count": 3}))]
+struct Counted {
+    count: usize,
+}
+
+/// Commands for many worlds.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(as = CommandsOfWorlds, example = json!({"worlds": {
+    "a": {"commands": [{"advance": {"duration": 0.016}}]}, "b": {"commands": [{"read": {}}]}
+}}))]
+struct WorldsBody<'a> {
+    /// By name.
+    #[serde(borrow)]
+    #[schema(value_type = HashMap<String, CommandsBody<'a>>)]
+    worlds: ByName<'a>,
+}
+
+/// What the commands did in each world, in the order of the request: results, or a problem.
+#[derive(ToSchema)]
+#[schema(as = ResultsOfWorlds, example = json!({"worlds": {
+    "a": {"results": [{"count": 1}], "revision": 4},
+    "b": {"type": "/problems/unknown_world", "title": "Unknown world", "status": 404, "code": "unknown_world",
+        "detail": "there is no world \"b\"; create it with PUT /v1/worlds/{world}", "pointer": "/worlds/b"}
+}}))]
+#[expect(dead_code, reason = "stands for the answer in the description")]
+struct WorldsAnswer {
+    worlds: HashMap<String, WorldAnswer>,
+}
+
+#[derive(ToSchema)]
+#[schema(as = ResultsOrProblem)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "stands for the answer in the description")]
+enum WorldAnswer {
+    Results(Results<f64>),
+    Problem(ProblemBody<'static>),
+}
+
+/// The members of an object as they stand in JSON, in their order; none twice.
+#[derive(Debug)]
+struct ByName<'a>(Vec<(String, &'a RawValue)>);
+
+impl<'de: 'a, 'a> Deserialize<'de> for ByName<'a> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Members;
+        impl<'de> Visitor<'de> for Members {
+            type Value = ByName<'de>;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an object with a world in each member")
+            }
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<ByName<'de>, A::Error> {
+                let (mut members, mut names) = (Vec::new(), HashSet::new());
+                while let Some((name, value)) = map.next_entry::<String, &RawValue>()? {
+                    if !names.insert(name.clone()) {
+                        return Err(A::Error::custom(format_args!("duplicate field `{name}`")));
+                    }
+                    members.push((name, value));
+                }
+                Ok(ByName(members))
+            }
+        }
+        deserializer.deserialize_map(Members)
+    }
+}
+
+/// Runs several commands as one change
+///
+/// In their order, all or none: when one is refused the world is as it was, and the pointer leads to that command. The
+/// revision grows by one, and by none when the commands only read. Their advances together may cost what one may.
+#[utoipa::path(post, path = "/v1/worlds/{world}/commands", tag = "commands", request_body = CommandsBody,
+    responses((status = 200, body = Results<f64>, headers(("etag" = String)))))]
+async fn run_commands(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+    run(&app, &change).await.map(IntoResponse::into_response)
+}
+
+/// Runs commands in many worlds
+///
+/// As one change in each, with results or a problem for each; what is refused in one world changes nothing in the others.
+/// Worlds run side by side. With an `Idempotency-Key`, sent again, the worlds that were changed answer as before and only
+/// the others run.
+#[utoipa::path(post, path = "/v1/commands", tag = "commands", request_body = WorldsBody,
+    responses((status = 200, body = WorldsAnswer)))]
+async fn run_commands_in_worlds(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+    if let Some(Err(problem)) = &change.key {
+        return Err(problem.clone());
+    }
+    let (whole, held) = (change.body.clone(), Arc::clone(&app));
+    let parsed = app.shared.parse(change.body.clone(), move |_| worlds(&whole, &held.config)).await;
+    if let Err(problem) = &parsed
+        && problem.code == Code::MalformedJson
+    {
+        return Err(problem.clone());
+    }
+    change.preconditions.check_many()?;
+    let worlds = parsed?;
+    change.query::<NoParameters>()?;
+    let mut names = Vec::with_capacity(worlds.len());
+    // Dropped with the request of a client that goes away, and all of them with it.
+    let mut running = JoinSet::new();
+    for (index, (name, body)) in worlds.into_iter().enumerate() {
+        let (app, part) = (Arc::clone(&app), change.of_world(&name, body));
+        running.spawn(async move { (index, run(&app, &part).await) });
+        names.push(name);
+    }
+    let mut answers: Vec<_> = names.iter().map(|_| Err(Problem::plain(Code::InternalError))).collect();
+    while let Some(ended) = running.join_next().await {
+        match ended {
+            Ok((index, answer)) => answers[index] = answer,
+            // That of a world which is quarantined now; the others do not pay for it.
+            Err(error) => tracing::error!(%error, "panic"),
+        }
+    }
+    Ok(of_worlds(&names, answers))
+}
+
+/// The commands of each world, without a copy.
+fn worlds(body: &Bytes, config: &Config) -> Result<Vec<(String, Bytes)>, Problem> {
+    let Object(WorldsBody { worlds: ByName(worlds) }) = json::parse(body)?;
+    check_objects(body, config)?;
+    if worlds.len() > config.worlds_max {
+        let detail =
+            format!("{} worlds are more than there may be, {} (--{WORLDS_MAX})", worlds.len(), config.worlds_max);
+        return Err(Problem::at(Code::LimitReached, "/worlds", detail));
+    }
+    Ok(worlds.into_iter().map(|(name, raw)| (name, body.slice_ref(raw.get().as_bytes()))).collect())
+}
+
+/// One answer of the answers of all worlds, which are not copied.
+fn of_worlds(names: &[String], answers: Vec<Result<Reply, Problem>>) -> Response {
+    let is_replayed =
+        !answers.is_empty() && answers.iter().flatten().filter(|reply| reply.is_replayed).count() == answers.len();
+    let mut parts = Parts(VecDeque::new());
+    for (name, answer) in names.iter().zip(answers) {
+        let begin = if parts.0.is_empty() { "{\"worlds\":{" } else { "," };
+        let quoted = serde_json::to_string(name).expect("a string is always JSON");
+        let body = answer.map_or_else(
+            |problem| problem.under(&format!("/worlds{}", json::member(name))).body().into(),
+            |reply| reply.body,
+        );
+        let text = body.len() - usize::from(body.ends_with(b"\n"));
+        parts.0.extend([Bytes::from(format!("{begin}{quoted}:")), body.slice(..text)]);
+    }
+    parts.0.push_back(Bytes::from_static(if names.is_empty() { b"{\"worlds\":{}}\n" } else { b"}}\n" }));
+    let mut response = ([(header::CONTENT_TYPE, "application/json")], Body::new(parts)).into_response();
+    if is_replayed {
+        response.headers_mut().insert(IDEMPOTENCY_REPLAYED, header::HeaderValue::from_static("true"));
+    }
+    response
+}
+
+/// A body in parts, each of which keeps its own charge.
+#[derive(Debug)]
+struct Parts(VecDeque<Bytes>);
+
+impl hyper::body::Body for Parts {
+    type Data = Bytes;
+    type Error = Infallible;
+
+    fn poll_frame(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
+        Poll::Ready(self.get_mut().0.pop_front().map(|part| Ok(Frame::data(part))))
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        SizeHint::with_exact(self.0.iter().map(|part| part.len() as u64).sum())
+    }
+}
+
+/// Changes the world of the path by the commands of the body.
+async fn run(app: &Arc<App>, change: &Change) -> Result<Reply, Problem> {
+    let any = app.slot(&change.target)?;
+    with_slot!(any, slot => {
+        let held = Arc::clone(app);
+        let parsed = app.shared.parse(change.body.clone(), move |body| Batch::read(body, &held.config)).await;
+        let parsed = parsed.and_then(|batch| change.query::<NoParameters>().map(|_| batch));
+        let app = Arc::clone(app);
+        slot.change(change, parsed, |world, batch: &Batch<_>| batch.cost(world), move |world, batch, cancelled| {
+            batch.run(&app, world, cancelled)
+        }).await
+    })
+}
+
+/// Commands, read.
+struct Batch<R: WireReal> {
+    items: Vec<Item<R>>,
+}
+
+struct Item<R: WireReal> {
+    /// As the request calls it.
+    name: &'static str,
+    task: Task<R>,
+    shape: Shape,
+}
+
+enum Task<R: WireReal> {
+    Change(Command<R>),
+    Advance(Advance, Option<Vec<Property>>),
+    Read(Option<Vec<u64>>, Vec<Property>),
+}
+
+type Reader<R> = fn(&str, &Config) -> Result<(Task<R>, Shape), Problem>;
+
+impl CommandBody<'_> {
+    fn item<R: WireReal>(&self, config: &Config) -> Result<Item<R>, Problem> {
+        let all: [(&'static str, Option<&RawValue>, Reader<R>); 8] = [
+            ("create", self.create, create),
+            ("place", self.place, place),
+            ("set", self.set, set),
+            ("add_force", self.add_force, add_force),
+            ("impulse", self.impulse, impulse),
+            ("remove", self.remove, remove),
+            ("advance", self.advance, advance),
+            ("read", self.read, read),
+        ];
+        let mut given = all.into_iter().filter_map(|(name, raw, reader)| Some((name, raw?, reader)));
+        let (Some((name, raw, reader)), None) = (given.next(), given.next()) else {
+            let names = all.map(|(name, ..)| name).join(", ");
+            return Err(Problem::at(Code::InvalidField, "", format!("a command has one member, one of {names}")));
+        };
+        let (task, shape) = reader(raw.get(), config).map_err(|problem| problem.under(&format!("/{name}")))?;
+        Ok(Item { name, task, shape })
+    }
+}
+
+fn create<R: WireReal>(text: &str, config: &Config) -> Result<(Task<R>, Shape), Problem> {
+    let New { particles, shape } = read_new(text.as_bytes(), config.particles_max)?;
+    Ok((Task::Change(Command::Create(particles)), shape))
+}
+
+fn place<R: WireReal>(text: &str, _: &Config) -> Result<(Task<R>, Shape), Problem> {
+    let Object(PlacesBody { ids, position, velocity }) = parse_part(text, "")?;
+    let command = Command::Place {
+        ids: selection(ids),
+        position: optional_column::<Vector<R>>(position, "position")?,
+        velocity: optional_column::<Vector<R>>(velocity, "velocity")?,
+    };
+    Ok((Task::Change(command), Shape::Columns))
+}
+
+fn set<R: WireReal>(text: &str, _: &Config) -> Result<(Task<R>, Shape), Problem> {
+    Ok((Task::Change(parse_part::<Object<SetManyBody<'_>>>(text, "")?.0.command()?), Shape::Columns))
+}
+
+fn add_force<R: WireReal>(text: &str, _: &Config) -> Result<(Task<R>, Shape), Problem> {
+    Ok((Task::Change(parse_part::<Object<ForcesBody<'_>>>(text, "")?.0.command()?), Shape::Columns))
+}
+
+fn impulse<R: WireReal>(text: &str, _: &Config) -> Result<(Task<R>, Shape), Problem> {
+    let Object(ImpulsesBody { ids, impulse }) = parse_part(text, "")?;
+    let impulse = column::<Vector<R>>(impulse.get(), "impulse")?;
+    Ok((Task::Change(Command::Impulse { ids: selection(ids), impulse }), Shape::Columns))
+}
+
+fn remove<R: WireReal>(text: &str, _: &Config) -> Result<(Task<R>, Shape), Problem> {
+    let Object(RemovalBody { ids }) = parse_part(text, "")?;
+    Ok((Task::Change(Command::Remove { ids: selection(ids) }), Shape::Columns))
+}
+
+fn advance<R: WireReal>(text: &str, _: &Config) -> Result<(Task<R>, Shape), Problem> {
+    let (advance, properties) = parse_part::<Object<AdvanceBody>>(text, "")?.0.in_batch()?;
+    Ok((Task::Advance(advance, properties), Shape::World))
+}
+
+fn read<R: WireReal>(text: &str, _: &Config) -> Result<(Task<R>, Shape), Problem> {
+    let Object(ReadBody { fields, ids }) = parse_part(text, "")?;
+    let fields = fields.map_or_else(|| vec![Property::Position, Property::Velocity], wire::named);
+    Ok((Task::Read(ids, fields), Shape::Columns))
+}
+
+/// Refuses more objects than particles and commands can be, before they take more memory than their text.
+fn check_objects(body: &[u8], config: &Config) -> Result<(), Problem> {
+    let (asked, most) = (objects(body), config.objects_max());
+    if asked > most {
+        let detail = format!("the body has {asked} objects, more than {most} (--{COMMANDS_MAX}, --particles-max)");
+        return Err(Problem::new(Code::LimitReached, detail));
+    }
+    Ok(())
+}
+
+fn place_of(index: usize) -> String {
+    format!("/commands/{index}")
+}
+
+impl<R: WireReal> Batch<R> {
+    fn read(body: &[u8], config: &Config) -> Result<Self, Problem> {
+        if let Err(problem) = check_objects(body, config) {
+            json::parse::<serde::de::IgnoredAny>(body)?;
+            return Err(problem);
+        }
+        let Object(CommandsBody { commands }) = json::parse(body)?;
+        let (asked, most) = (commands.len(), config.commands_max);
+        if asked > most {
+            let detail = format!("{asked} commands are more than a batch may have, {most} (--{COMMANDS_MAX})");
+            return Err(Problem::at(Code::LimitReached, "/commands", detail));
+        }
+        let mut items = Vec::with_capacity(asked);
+        let mut duration = 0.0;
+        for (index, Object(command)) in commands.iter().enumerate() {
+            let item = command.item::<R>(config).and_then(|item| {
+                if let Task::Advance(advance, _) = &item.task {
+                    duration += advance.duration;
+                    check_duration(duration, config, "/advance/duration")?;
+                }
+                Ok(item)
+            });
+            items.push(item.map_err(|problem| problem.under(&place_of(index)))?);
+        }
+        Ok(Self { items })
+    }
+
+    /// How much of the world has to be kept until the end. Where the particles stay, a read can be told to succeed.
+    fn keep(&self, world: &World<R>) -> Keep {
+        let stay = !self
+            .items
+            .iter()
+            .any(|item| matches!(item.task, Task::Change(Command::Create(_) | Command::Remove { .. })));
+        let there = |ids: &[u64]| stay && ids.iter().all(|id| world.contains(ParticleId(*id)));
+        Keep::of(self.items.iter().map(|item| match &item.task {
+            Task::Change(command) => Part::of(command),
+            Task::Advance(..) => Part::Change { adds_forces: false },
+            Task::Read(ids, _) => Part::Read { can_fail: ids.as_ref().is_some_and(|ids| !there(ids)) },
+        }))
+    }
+
+    /// Estimated before anything is done: from the particles there are, and those that are created.
+    fn cost(&self, world: &World<R>) -> Cost {
+        let there = world.particle_count() as u64;
+        let (mut created, mut work, mut numbers, mut copied) = (0_u64, 0_u64, 0_u64, 0_u64);
+        // Whether an advance may cost more than it would have at first.
+        let mut is_settled = true;
+        for item in &self.items {
+            let count = there.saturating_add(created);
+            let all_or = |ids: &Selection| match ids {
+                Selection::All => count,
+                Selection::Ids(ids) => ids.len() as u64,
+            };
+            let (done, written) = match &item.task {
+                Task::Change(command) => {
+                    is_settled &= matches!(command, Command::AddForce { .. });
+                    let done = match command {
+                        Command::Create(new) => {
+                            created = created.saturating_add(new.count as u64);
+                            new.count as u64
+                        }
+                        // A value that differs promotes a column, a removal makes the table of ids.
+                        Command::Place { ids, .. }
+                        | Command::Set { ids, .. }
+                        | Command::AddForce { ids, .. }
+                        | Command::Impulse { ids, .. }
+                        | Command::Remove { ids } => all_or(ids).saturating_add(count / 8),
+                        Command::Advance(_) | Command::Configure(_) => 0,
+                    };
+                    (done, 4)
+                }
+                Task::Advance(advance, properties) => {
+                    // The particle that it waits for may be one of those created.
+                    let advance = Advance { until: None, ..*advance };
+                    copied = copied.max(bytes_of_copies(world, &advance, count));
+                    let more = created + u64::from(!is_settled);
+                    // After a removal it may be within the limits.
+                    let is_over = matches!(world.plan(&advance), Err(Error::LimitReached { .. }));
+                    let done = if is_over { u64::MAX } else { world.work_with(&advance, more) };
+                    is_settled = false;
+                    (done, 20 + columns(properties.as_deref().unwrap_or_default()).saturating_mul(count))
+                }
+                Task::Read(ids, properties) => {
+                    let count = ids.as_ref().map_or(count, |ids| ids.len() as u64);
+                    (0, 4 + columns(properties).saturating_mul(count))
+                }
+            };
+            work = work.saturating_add(done).saturating_add(written);
+            numbers = numbers.saturating_add(written);
+        }
+        let kept = match self.keep(world) {
+            Keep::Nothing => 0,
+            Keep::Forces => size_of::<[R; 3]>() as u64,
+            Keep::Everything => PARTICLE_BYTES,
+        };
+        let bytes = there.saturating_mul(kept).saturating_add(created.saturating_mul(PARTICLE_BYTES));
+        let work = work.saturating_add(if kept == PARTICLE_BYTES { there } else { 0 });
+        Cost { bytes: bytes.saturating_add(copied), ..Cost::of(work).answering(numbers) }
+    }
+
+    fn run(self, app: &App, world: &mut World<R>, cancelled: &AtomicBool) -> Result<Reply, Problem> {
+        let mut advances = Vec::new();
+        let results = world.keeping(self.keep(world), |world| {
+            let each = self.items.into_iter().enumerate().map(|(index, item)| {
+                let name = item.name;
+                let result = item.run(world, cancelled, &mut advances);
+                result.map_err(|problem| problem.under(&format!("{}/{name}", place_of(index))))
+            });
+            each.collect::<Result<Vec<_>, Problem>>()
+        })?;
+        for advanced in &advances {
+            app.metrics.advanced(advanced);
+        }
+        Ok(Reply::ok(json::write(&Results { results, revision: world.revision() })))
+    }
+}
+
+/// Numbers in the columns of one particle.
+fn columns(properties: &[Property]) -> u64 {
+    1 + 3 * properties.len() as u64
+}
+
+impl<R: WireReal> Item<R> {
+    fn run(
+        self,
+        world: &mut World<R>,
+        cancelled: &AtomicBool,
+        advances: &mut Vec<Advanced>,
+    ) -> Result<CommandResult<R>, Problem> {
+        let shape = self.shape;
+        let apply = |world: &mut World<R>, command: &Command<R>| {
+            // Only an advance looks itself.
+            if cancelled.load(Ordering::Relaxed) {
+                return Err(Problem::from_engine(Error::Cancelled, shape));
+            }
+            world.apply_in_batch(command, cancelled).map_err(|error| {
+                let problem = Problem::from_engine(error, shape);
+                let is_shared = matches!(error, Error::LimitReached { limit, .. } if limit != Limit::Particles);
+                if is_shared { problem.adding("; the advances of a batch share the limits of one") } else { problem }
+            })
+        };
+        match self.task {
+            Task::Change(command) => match apply(world, &command)? {
+                Outcome::Created { first, count } => Ok(CommandResult::Created(Created { first_id: first.0, count })),
+                Outcome::Changed { count } => Ok(CommandResult::Changed(Counted { count })),
+                Outcome::Advanced(_) | Outcome::Configured => unreachable!("it is neither"),
+            },
+            Task::Advance(advance, properties) => {
+                let Outcome::Advanced(advanced) = apply(world, &Command::Advance(advance))? else {
+                    unreachable!("an advance answers with what it advanced")
+                };
+                advances.push(advanced);
+                let state = properties.map(|properties| wire::State::of(world, &properties));
+                let body = AdvancedBody::in_batch(&advanced, world, advance.report_error, state);
+                Ok(CommandResult::Advanced(Box::new(body)))
+            }
+            Task::Read(None, properties) => Ok(CommandResult::Read(Box::new(wire::State::of(world, &properties)))),
+            Task::Read(Some(ids), properties) => {
+                let state = wire::State::of_ids(world, &ids, &properties);
+                Ok(CommandResult::Read(Box::new(state.map_err(|error| Problem::from_engine(error, shape))?)))
+            }
+        }
+    }
+}
