@@ -204,7 +204,7 @@ fn check_numbers(name: &str, json: &Value) {
 }
 
 /// What a request may have done to the worlds: nothing when it was refused or reads; else one world is new, gone, or one
-/// revision further, and the answer says so.
+/// revision further, and the answer says so. Commands take any number of worlds one revision further.
 fn check_change(
     request: &str,
     is_change: bool,
@@ -216,6 +216,13 @@ fn check_change(
     let changed: Vec<&String> = names.into_iter().filter(|name| before.get(*name) != after.get(*name)).collect();
     if !is_change {
         assert!(changed.is_empty(), "{request} changed {changed:?}: {answer:?}");
+        return;
+    }
+    if request.ends_with("/commands") {
+        for name in changed {
+            let revision = |worlds: &BTreeMap<String, World>| worlds.get(name)?.digest["revision"].as_u64();
+            assert_eq!(revision(after), revision(before).map(|revision| revision + 1), "{request}: {name}, {answer:?}");
+        }
         return;
     }
     let [changed] = changed[..] else { panic!("{request} changed {changed:?}: {answer:?}") };
