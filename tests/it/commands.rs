@@ -197,14 +197,15 @@ fn a_refused_command_undoes_those_before_it() {
                 {
                     continue;
                 }
-                let mut list = good.to_vec();
-                list.insert(position, command.clone());
-                let answer = client.post(&format!("{path}/commands"), &commands(&list));
-                let problem = answer.json();
-                let pointer = format!("/commands/{position}{place}");
-                let told = (problem["code"].as_str(), problem["pointer"].as_str());
-                assert_eq!(told, (Some(*code), Some(pointer.as_str())), "{integrator}: {problem}");
-                assert_eq!(everything(&mut client, &path), before, "{integrator}, {command} at {position}");
+                // With nothing behind it, less of the world is kept.
+                for rest in [&good[position..], &[]] {
+                    let list = [&good[..position], std::slice::from_ref(command), rest].concat();
+                    let problem = client.post(&format!("{path}/commands"), &commands(&list)).json();
+                    let pointer = format!("/commands/{position}{place}");
+                    let told = (problem["code"].as_str(), problem["pointer"].as_str());
+                    assert_eq!(told, (Some(*code), Some(pointer.as_str())), "{integrator}: {problem}");
+                    assert_eq!(everything(&mut client, &path), before, "{integrator}, {command} at {position}");
+                }
             }
         }
         let answer = client.post(&format!("{path}/commands"), &commands(&good)).expect(200);
