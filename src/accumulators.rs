@@ -22,6 +22,13 @@ pub(crate) enum Acting {
     Many,
 }
 
+/// Sums to come back to: where they are few, without a copy of the column.
+#[derive(Debug)]
+pub(crate) enum Before<R: Real> {
+    Few(Vec<(ParticleId, [R; 3])>),
+    Many(Accumulators<R>),
+}
+
 /// A game that pushes every few ticks keeps its column.
 const IDLE_MAX: u8 = 16;
 
@@ -69,6 +76,27 @@ impl<R: Real> Accumulators<R> {
             }
         }
         self.sum.set(row, sum, len);
+    }
+
+    /// The sums of now.
+    pub(crate) fn before(&self, ids: &Ids) -> Before<R> {
+        match &self.acting {
+            Acting::Few(few) => Before::Few(few.iter().filter_map(|id| Some((*id, self.get(ids.row(*id)?)))).collect()),
+            Acting::Many => Before::Many(self.clone()),
+        }
+    }
+
+    /// These sums again, for the same particles.
+    pub(crate) fn go_back(&mut self, before: Before<R>, ids: &Ids, len: usize) {
+        match before {
+            Before::Many(before) => *self = before,
+            Before::Few(few) => {
+                self.clear(ids);
+                for (id, sum) in few {
+                    self.set(ids.row(id).expect("the same particles"), id, sum, len);
+                }
+            }
+        }
     }
 
     /// Appends `count` particles without a force to `len` others.

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::AtomicBool;
 
-use crate::accumulators::Accumulators;
+use crate::accumulators::Before;
 use crate::command::{Command, Outcome};
 use crate::error::{BatchError, Error, Limits};
 use crate::real::Real;
@@ -39,7 +39,7 @@ impl Part {
 
 enum Kept<R: Real> {
     Nothing,
-    Forces(Accumulators<R>, Bounds),
+    Forces(Before<R>, Bounds),
     Everything(Box<World<R>>),
 }
 
@@ -118,7 +118,7 @@ impl<R: Real> World<R> {
         let (revision, limits) = (self.revision, self.limits);
         let kept = match keep {
             Keep::Nothing => Kept::Nothing,
-            Keep::Forces => Kept::Forces(self.particles.force.clone(), self.bounds),
+            Keep::Forces => Kept::Forces(self.particles.force.before(&self.ids), self.bounds),
             Keep::Everything => Kept::Everything(Box::new(self.clone())),
         };
         let result = changes(self);
@@ -130,7 +130,11 @@ impl<R: Real> World<R> {
         self.revision = revision;
         match kept {
             Kept::Nothing => {}
-            Kept::Forces(force, bounds) => (self.particles.force, self.bounds) = (force, bounds),
+            Kept::Forces(force, bounds) => {
+                let len = self.particles.len();
+                self.particles.force.go_back(force, &self.ids, len);
+                self.bounds = bounds;
+            }
             Kept::Everything(before) => *self = *before,
         }
         result
