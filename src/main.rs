@@ -107,7 +107,7 @@ fn log_to_standard_error(config: &Config) -> Result<Log, String> {
     let log = Log::start().map_err(|error| format!("cannot start threads: {error}"))?;
     let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(log.clone());
     match config.log_format {
-        // Without styles for names and equal signs, which take longer than all the rest of a line.
+        // Without styles for names and equal signs, which take a third of the time of a line.
         LogFormat::Text => lines.with_ansi(std::io::stderr().is_terminal()).fmt_fields(fields()).init(),
         LogFormat::Json => lines.json().init(),
     }
