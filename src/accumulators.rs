@@ -57,6 +57,11 @@ impl<R: Real> Accumulators<R> {
         }
     }
 
+    /// Whether there is nothing to clear, and no column to give back.
+    pub(crate) fn is_clear(&self) -> bool {
+        self.none() && matches!(self.sum, Column::Uniform(_))
+    }
+
     /// The same sum for every particle, where one value stands for all.
     pub(crate) fn set_all(&mut self, sum: [R; 3]) {
         self.idle = 0;

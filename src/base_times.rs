@@ -57,6 +57,12 @@ impl BaseTimes {
         live.reduce(|a, b| if (b - a).hi < 0.0 { b } else { a }).unwrap_or_default()
     }
 
+    /// What they take.
+    #[cfg(feature = "server")]
+    pub(crate) fn bytes(&self) -> u64 {
+        self.of.bytes() + (self.distinct.len() * size_of::<Distinct>()) as u64
+    }
+
     pub(crate) fn set_all(&mut self, time: DoubleDouble) {
         *self = Self::all_at(time);
     }

@@ -39,6 +39,12 @@ impl<T: Copy + PartialEq> Column<T> {
         }
     }
 
+    /// What its values take.
+    #[cfg(feature = "server")]
+    pub(crate) fn bytes(&self) -> u64 {
+        (self.len_if_per_particle().unwrap_or(0) * size_of::<T>()) as u64
+    }
+
     /// The same column, uniform when all of its values are equal.
     pub(crate) fn collapsed(self) -> Self {
         match &self {

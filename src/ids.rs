@@ -51,6 +51,12 @@ impl Ids {
         }
     }
 
+    /// What they take, about.
+    #[cfg(feature = "server")]
+    pub(crate) fn bytes(&self) -> u64 {
+        self.table.as_ref().map_or(0, |table| (table.id_of.len() * (size_of::<u64>() + 5)) as u64)
+    }
+
     pub(crate) fn next(&self) -> u64 {
         self.next
     }

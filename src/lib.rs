@@ -45,6 +45,7 @@ mod real;
 mod registry;
 #[cfg(feature = "server")]
 pub mod server;
+mod shared;
 mod system;
 mod threads;
 mod world;

@@ -101,6 +101,24 @@ impl<R: Real> Particles<R> {
         self.position.len()
     }
 
+    /// What the columns take.
+    #[cfg(feature = "server")]
+    pub(crate) fn bytes(&self) -> u64 {
+        let vector = size_of::<[R; 3]>();
+        let residual = self.residual.position.len();
+        let vectors = 2 * self.len() + 2 * residual;
+        (vectors * vector) as u64
+            + self.own_acceleration.bytes()
+            + self.has_own_acceleration.bytes()
+            + self.damping.bytes()
+            + self.inverse_mass.bytes()
+            + self.force.column().bytes()
+            + self.drag.bytes()
+            + self.gravitational_mass.bytes()
+            + self.base_time.bytes()
+            + self.resting.bytes()
+    }
+
     /// The acceleration without the share of the force: its own, else the gravity unless it is immovable.
     pub(crate) fn acceleration(&self, row: usize, gravity: [R; 3]) -> [R; 3] {
         let following = if self.inverse_mass.get(row) == R::ZERO { zero() } else { gravity };
@@ -133,7 +151,15 @@ impl<R: Real> Particles<R> {
         }
     }
 
-    /// The same after steps, in which immovable particles may have come to rest.
+    /// Puts a row where it is at a clock, from then on its base time.
+    pub(crate) fn set_base(&mut self, row: usize, position: [R; 3], velocity: [R; 3], clock: DoubleDouble) {
+        let len = self.len();
+        (self.position[row], self.velocity[row]) = (position, velocity);
+        self.base_time.set(row, clock, len);
+        self.note_rest(row);
+    }
+
+    /// Finds out anew after steps, in which immovable particles may have come to rest.
     pub(crate) fn note_rest_after_steps(&mut self) {
         if self.resting_count < self.immovable_count {
             for row in 0..self.len() {

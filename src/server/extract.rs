@@ -8,12 +8,13 @@ use axum::http::request::Parts;
 use axum::http::{HeaderMap, Uri, header};
 use http_body_util::{BodyExt, Limited};
 use hyper::body::Frame;
-use mediatype::{MediaType, MediaTypeList, ReadParams, names};
+use mediatype::{MediaType, names};
 use serde::de::DeserializeOwned;
 
 use crate::ids::ParticleId;
 use crate::server::App;
 use crate::server::config::{BODY_BYTES_MAX, PAGE_DEFAULT, PAGE_MAX, SMALL_BODY_BYTES_MAX};
+use crate::server::encoding::Encoding;
 use crate::server::idempotency::Key;
 use crate::server::memory::{Charge, OBJECT_BYTES, PARSED_BYTES, objects};
 use crate::server::problem::{Code, Problem};
@@ -45,6 +46,8 @@ impl Target {
 pub(crate) struct Read {
     pub(crate) target: Target,
     pub(crate) preconditions: Preconditions,
+    /// That of the answer.
+    pub(crate) encoding: Encoding,
     uri: Uri,
 }
 
@@ -55,6 +58,8 @@ pub(crate) struct Change {
     pub(crate) preconditions: Preconditions,
     /// That of its Idempotency-Key, told in its turn when it is none.
     pub(crate) key: Option<Result<Key, Problem>>,
+    /// That of the answer.
+    pub(crate) encoding: Encoding,
     pub(crate) body: Bytes,
     pub(crate) uri: Uri,
     /// For the body, and what it is parsed into.
@@ -72,7 +77,7 @@ impl Change {
     /// The part of a request for many worlds that one of them gets.
     pub(crate) fn of_world(&self, name: &str, body: Bytes) -> Self {
         let target = Target { world: name.to_owned(), particle: None };
-        Self { target, key: self.key.clone(), body, ..Self::default() }
+        Self { target, key: self.key.clone(), encoding: self.encoding, body, ..Self::default() }
     }
 
     pub(crate) fn query<Q: DeserializeOwned>(&self) -> Result<Q, Problem> {
@@ -111,8 +116,8 @@ impl FromRequestParts<Arc<App>> for Read {
     type Rejection = Problem;
 
     async fn from_request_parts(parts: &mut Parts, state: &Arc<App>) -> Result<Self, Problem> {
-        check_accept(&parts.headers)?;
         Ok(Self {
+            encoding: Encoding::accepted(&parts.headers)?,
             target: target(parts, state).await?,
             preconditions: Preconditions::new(&parts.headers),
             uri: parts.uri.clone(),
@@ -125,7 +130,7 @@ impl FromRequest<Arc<App>> for Change {
 
     async fn from_request(request: Request, state: &Arc<App>) -> Result<Self, Problem> {
         let (mut parts, body) = request.into_parts();
-        check_accept(&parts.headers)?;
+        let encoding = Encoding::accepted(&parts.headers)?;
         check_content(&parts.headers)?;
         let target = target(&mut parts, state).await?;
         // Only what can speak of many particles has a large body.
@@ -146,7 +151,8 @@ impl FromRequest<Arc<App>> for Change {
         Ok(Self {
             target,
             preconditions: Preconditions::new(&parts.headers),
-            key: Key::of(&parts.method, &parts.uri, &parts.headers, &body).transpose(),
+            key: Key::of(&parts.method, &parts.uri, &parts.headers, encoding, &body).transpose(),
+            encoding,
             body,
             uri: parts.uri,
             charge: Some(charge),
@@ -230,33 +236,6 @@ fn check_content(headers: &HeaderMap) -> Result<(), Problem> {
     }
 }
 
-/// Whether the client takes JSON; without an Accept header it takes anything.
-fn check_accept(headers: &HeaderMap) -> Result<(), Problem> {
-    let mut ranges = headers.get_all(header::ACCEPT).iter().peekable();
-    if ranges.peek().is_none() {
-        return Ok(());
-    }
-    // The most specific range that covers application/json decides; its q is 0 when it is excluded.
-    let mut best: Option<(u8, bool)> = None;
-    for range in ranges.filter_map(|value| value.to_str().ok()).flat_map(MediaTypeList::new).flatten() {
-        let specificity = match (range.ty.as_str(), range.subty.as_str()) {
-            ("*", "*") => 0,
-            (ty, "*") if ty.eq_ignore_ascii_case("application") => 1,
-            (ty, subty) if ty.eq_ignore_ascii_case("application") && subty.eq_ignore_ascii_case("json") => 2,
-            _ => continue,
-        };
-        let weight = range.get_param(names::Q).map(|q| q.as_str().trim().parse::<f32>());
-        let wanted = weight.is_none_or(|weight| weight.is_ok_and(|weight| weight > 0.0));
-        if best.is_none_or(|(known, _)| specificity >= known) {
-            best = Some((specificity, wanted));
-        }
-    }
-    match best {
-        Some((_, true)) => Ok(()),
-        Some((_, false)) | None => Err(Problem::plain(Code::NotAcceptable)),
-    }
-}
-
 /// If-Match and If-None-Match.
 #[derive(Debug, Default)]
 pub(crate) struct Preconditions {
@@ -320,27 +299,11 @@ pub(crate) fn etag(revision: u64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{check_accept, check_content};
+    use super::check_content;
     use axum::http::{HeaderMap, HeaderName, HeaderValue, header};
 
     fn headers(name: HeaderName, value: &'static str) -> HeaderMap {
         HeaderMap::from_iter([(name, HeaderValue::from_static(value))])
-    }
-
-    #[test]
-    fn accept_is_read_with_its_weights() {
-        for (accept, taken) in [
-            ("application/json", true),
-            ("*/*", true),
-            ("application/*;q=0.2", true),
-            ("text/html, application/json;q=0.5", true),
-            ("text/html", false),
-            ("application/json;q=0, */*", false),
-            ("application/cbor", false),
-        ] {
-            assert_eq!(check_accept(&headers(header::ACCEPT, accept)).is_ok(), taken, "{accept}");
-        }
-        assert!(check_accept(&HeaderMap::new()).is_ok());
     }
 
     #[test]

@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, Uri, header};
 use sha2::{Digest, Sha256};
 
+use crate::server::encoding::Encoding;
 use crate::server::problem::{Code, Problem};
 use crate::server::reply::Reply;
 
@@ -37,7 +38,13 @@ pub(crate) struct Key {
 
 impl Key {
     /// `None` without the header.
-    pub(crate) fn of(method: &Method, uri: &Uri, headers: &HeaderMap, body: &[u8]) -> Result<Option<Self>, Problem> {
+    pub(crate) fn of(
+        method: &Method,
+        uri: &Uri,
+        headers: &HeaderMap,
+        answer: Encoding,
+        body: &[u8],
+    ) -> Result<Option<Self>, Problem> {
         let mut names = headers.get_all(IDEMPOTENCY_KEY).iter();
         let Some(name) = names.next() else { return Ok(None) };
         if name.is_empty() || name.len() > KEY_BYTES_MAX || names.next().is_some() {
@@ -46,7 +53,7 @@ impl Key {
         }
         let mut request = Sha256::new();
         let target = uri.path_and_query().map_or("", |target| target.as_str());
-        for part in [method.as_str().as_bytes(), target.as_bytes()]
+        for part in [method.as_str().as_bytes(), target.as_bytes(), answer.content_type().as_bytes()]
             .into_iter()
             .chain(headers.get_all(header::IF_MATCH).iter().map(HeaderValue::as_bytes))
             .chain([body])
@@ -175,7 +182,7 @@ impl Claim {
         let kept = kept.get_or_insert_default();
         if let Some(entry) = kept.by_name.get_mut(&self.name) {
             entry.reply = Some(reply.clone());
-            kept.bytes += reply.body.len() + ENTRY_BYTES;
+            kept.bytes += reply.content.len() + ENTRY_BYTES;
             kept.answered.push_back((self.name, Instant::now()));
             kept.forget(self.answers.limits);
         }
@@ -199,7 +206,7 @@ impl Kept {
             && (since.elapsed() > limits.lifetime || self.answered.len() > limits.count || self.bytes > KEPT_BYTES_MAX)
         {
             let entry = self.by_name.remove(name);
-            self.bytes -= entry.and_then(|entry| entry.reply).map_or(0, |reply| reply.body.len() + ENTRY_BYTES);
+            self.bytes -= entry.and_then(|entry| entry.reply).map_or(0, |reply| reply.content.len() + ENTRY_BYTES);
             self.answered.pop_front();
         }
     }

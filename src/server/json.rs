@@ -12,13 +12,49 @@ use utoipa::openapi::schema::{ObjectBuilder, Schema, Type};
 use crate::column::Column;
 use crate::forces::Drag;
 use crate::real::Real;
+use crate::server::columns::Columns;
+use crate::server::content::AnyColumns;
 use crate::server::problem::{Code, Problem};
+use crate::world::World;
 
 /// A number type that JSON can carry: read from its digits straight into its precision, written with the fewest digits
 /// that read back as the same number.
-pub(crate) trait WireReal: Real + Serialize + Element<Value = Self> {}
-impl WireReal for f32 {}
-impl WireReal for f64 {}
+pub(crate) trait WireReal: Real + Serialize + Element<Value = Self> {
+    /// The tag of an array of these, little-endian (RFC 8746).
+    const TYPED_ARRAY: u64;
+    const BYTES: u64;
+    /// Appends the bytes of such an array.
+    fn write_le(numbers: &[Self], into: &mut Vec<u8>);
+    fn any_columns(world: World<Self>, columns: Columns<Self>) -> AnyColumns;
+}
+
+impl WireReal for f32 {
+    const TYPED_ARRAY: u64 = 85;
+    const BYTES: u64 = 4;
+    fn write_le(numbers: &[Self], into: &mut Vec<u8>) {
+        let start = into.len();
+        into.resize(start + size_of_val(numbers), 0);
+        let bytes = into[start..].chunks_exact_mut(size_of::<Self>());
+        bytes.zip(numbers).for_each(|(bytes, number)| bytes.copy_from_slice(&number.to_le_bytes()));
+    }
+    fn any_columns(world: World<Self>, columns: Columns<Self>) -> AnyColumns {
+        AnyColumns::Single(world, columns)
+    }
+}
+
+impl WireReal for f64 {
+    const TYPED_ARRAY: u64 = 86;
+    const BYTES: u64 = 8;
+    fn write_le(numbers: &[Self], into: &mut Vec<u8>) {
+        let start = into.len();
+        into.resize(start + size_of_val(numbers), 0);
+        let bytes = into[start..].chunks_exact_mut(size_of::<Self>());
+        bytes.zip(numbers).for_each(|(bytes, number)| bytes.copy_from_slice(&number.to_le_bytes()));
+    }
+    fn any_columns(world: World<Self>, columns: Columns<Self>) -> AnyColumns {
+        AnyColumns::Double(world, columns)
+    }
+}
 
 /// Reads a body; what is not JSON at all is [`Code::MalformedJson`], what is the wrong JSON says where.
 pub(crate) fn parse<'a, T: Deserialize<'a>>(body: &'a [u8]) -> Result<T, Problem> {
@@ -260,13 +296,6 @@ impl<T: Choice> Serialize for Named<T> {
     }
 }
 
-/// JSON with a newline behind it, since it is read in terminals too.
-pub(crate) fn write<T: Serialize>(value: &T) -> Vec<u8> {
-    let mut text = serde_json::to_vec(value).expect("answers are structs of numbers, strings and lists");
-    text.push(b'\n');
-    text
-}
-
 #[cfg(test)]
 mod tests {
     use super::{Code, DragPair, Object, Vector, column, parse};
@@ -347,12 +376,12 @@ mod tests {
         fn numbers_keep_their_bits(double in any::<u64>(), single in any::<u32>()) {
             let double = f64::from_bits(double);
             if double.is_finite() {
-                let text = String::from_utf8(super::write(&double)).expect("ASCII");
+                let text = String::from_utf8(serde_json::to_vec(&double).expect("a number")).expect("ASCII");
                 prop_assert_eq!(parse::<f64>(text.as_bytes()).expect(&text).to_bits(), double.to_bits());
             }
             let single = f32::from_bits(single);
             if single.is_finite() {
-                let shortest = String::from_utf8(super::write(&single)).expect("ASCII");
+                let shortest = String::from_utf8(serde_json::to_vec(&single).expect("a number")).expect("ASCII");
                 let exact = format!("{:e}", f64::from(single));
                 for text in [shortest, exact] {
                     prop_assert_eq!(parse::<f32>(text.as_bytes()).expect(&text).to_bits(), single.to_bits());

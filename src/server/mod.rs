@@ -4,7 +4,10 @@
 //! it behind [`Listener`]s.
 
 mod access;
+mod columns;
 mod config;
+mod content;
+mod encoding;
 mod extract;
 mod front;
 mod healthcheck;

@@ -452,7 +452,14 @@ impl Shape {
 impl Problem {
     /// The body of its answer.
     pub(crate) fn body(&self) -> Vec<u8> {
-        let mut body = serde_json::to_vec(&ProblemBody {
+        let mut body = serde_json::to_vec(&self.wire()).expect("strings and whole numbers are always JSON");
+        body.push(b'\n');
+        body
+    }
+
+    /// As it is told.
+    pub(crate) fn wire(&self) -> ProblemBody<'_> {
+        ProblemBody {
             r#type: format!("/problems/{}", self.code.name()),
             title: self.code.title(),
             status: self.code.status().as_u16(),
@@ -462,10 +469,7 @@ impl Problem {
             particle: self.diverged.map(|d| d.particle),
             quantity: self.diverged.map(|d| d.quantity),
             step: self.diverged.map(|d| d.step),
-        })
-        .expect("strings and whole numbers are always JSON");
-        body.push(b'\n');
-        body
+        }
     }
 }
 

@@ -101,6 +101,11 @@ impl Places {
         Arc::clone(&self.free).try_acquire_owned().ok()
     }
 
+    /// A place for the next part of what is under way already, however long that takes.
+    pub(crate) async fn wait(&self) -> OwnedSemaphorePermit {
+        Arc::clone(&self.free).acquire_owned().await.expect("the semaphore is never closed")
+    }
+
     /// A place, in the order of asking.
     pub(crate) async fn take(&self) -> Result<OwnedSemaphorePermit, Problem> {
         if let Some(place) = self.try_take() {

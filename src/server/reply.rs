@@ -1,9 +1,11 @@
 //! What is answered when all is well.
 
-use axum::body::{Body, Bytes};
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use serde::Serialize;
 
+use crate::server::content::Content;
+use crate::server::encoding::Encoding;
 use crate::server::extract::etag;
 use crate::server::idempotency::IDEMPOTENCY_REPLAYED;
 use crate::server::memory::Charge;
@@ -12,31 +14,36 @@ use crate::server::memory::Charge;
 #[derive(Debug, Clone)]
 pub(crate) struct Reply {
     pub(crate) status: StatusCode,
-    pub(crate) body: Bytes,
+    pub(crate) content: Content,
     location: Option<String>,
     revision: Option<u64>,
     pub(crate) is_replayed: bool,
 }
 
 impl Reply {
-    fn new(status: StatusCode, body: impl Into<Bytes>) -> Self {
-        Self { status, body: body.into(), location: None, revision: None, is_replayed: false }
+    fn new(status: StatusCode, content: Content) -> Self {
+        Self { status, content, location: None, revision: None, is_replayed: false }
     }
 
-    pub(crate) fn ok(body: Vec<u8>) -> Self {
-        Self::new(StatusCode::OK, body)
+    pub(crate) fn of(content: Content) -> Self {
+        Self::new(StatusCode::OK, content)
+    }
+
+    /// One value.
+    pub(crate) fn ok<T: Serialize>(encoding: Encoding, value: &T) -> Self {
+        Self::of(Content::of(encoding, value))
     }
 
     pub(crate) fn no_content() -> Self {
-        Self::new(StatusCode::NO_CONTENT, Bytes::new())
+        Self::new(StatusCode::NO_CONTENT, Content::empty())
     }
 
     pub(crate) fn not_modified() -> Self {
-        Self::new(StatusCode::NOT_MODIFIED, Bytes::new())
+        Self::new(StatusCode::NOT_MODIFIED, Content::empty())
     }
 
-    pub(crate) fn created(location: Option<String>, body: Vec<u8>) -> Self {
-        Self { location, ..Self::new(StatusCode::CREATED, body) }
+    pub(crate) fn created(self, location: Option<String>) -> Self {
+        Self { status: StatusCode::CREATED, location, ..self }
     }
 
     /// Of a world at this revision.
@@ -49,25 +56,25 @@ impl Reply {
         Self { is_replayed: true, ..self }
     }
 
-    /// Gives the charge back when the body is on its way.
+    /// With nothing left to be written.
+    pub(crate) fn whole(self) -> Self {
+        Self { content: self.content.whole(), ..self }
+    }
+
+    /// Gives the charge back when the content is on its way.
     pub(crate) fn charged(self, charge: Charge) -> Self {
-        struct Charged(Bytes, #[expect(dead_code, reason = "lives as long as the body")] Charge);
-        impl AsRef<[u8]> for Charged {
-            fn as_ref(&self) -> &[u8] {
-                &self.0
-            }
-        }
-        Self { body: Bytes::from_owner(Charged(self.body, charge)), ..self }
+        Self { content: self.content.charged(charge), ..self }
     }
 }
 
 impl IntoResponse for Reply {
     fn into_response(self) -> Response {
-        let mut response = Response::new(Body::from(self.body));
+        let content_type = self.content.encoding.content_type();
+        let mut response = Response::new(self.content.into_body());
         *response.status_mut() = self.status;
         let headers = response.headers_mut();
         if matches!(self.status, StatusCode::OK | StatusCode::CREATED) {
-            headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/json"));
+            headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(content_type));
         }
         if let Some(location) = self.location {
             headers.insert(header::LOCATION, location.try_into().expect("names of worlds are valid in headers"));

@@ -14,7 +14,9 @@ use axum::response::{IntoResponse, Response};
 use tokio::sync::{OwnedMutexGuard, OwnedSemaphorePermit};
 
 use crate::real::Real;
+use crate::server::columns;
 use crate::server::config::{ANSWER_BYTES_MAX, Config};
+use crate::server::content::{self, Content};
 use crate::server::extract::{Change, Read, Target};
 use crate::server::idempotency::{Answers, Attempt, ENTRY_BYTES, KEPT_ANSWER_BYTES_MAX, Key, KeyLimits};
 use crate::server::json::WireReal;
@@ -22,13 +24,13 @@ use crate::server::memory::{Charge, Memory, NUMBER_BYTES, PARTICLE_BYTES};
 use crate::server::problem::{Code, Problem};
 use crate::server::queue::{Bounds, Places, Queue};
 use crate::server::reply::Reply;
-use crate::server::wire::Description;
+use crate::server::wire::{Description, Property};
 use crate::threads::Threads;
 use crate::world::World;
 
 /// Work, in particle-steps or numbers to write, that is done on the spot: about a tenth of a millisecond. Moving it to
 /// another thread and back costs a fifth of that.
-const INLINE_WORK: u64 = 20_000;
+pub(crate) const INLINE_WORK: u64 = 20_000;
 
 /// Work that takes one of the places for long advances: some tens of milliseconds.
 const LONG_WORK: u64 = 1 << 25;
@@ -187,6 +189,8 @@ pub(crate) struct Cost {
     pub(crate) bytes: u64,
     /// Bytes of its answer.
     pub(crate) answer: u64,
+    /// Bytes that are held for it while it is sent.
+    pub(crate) held: u64,
 }
 
 impl Cost {
@@ -197,6 +201,15 @@ impl Cost {
     /// Of reading so many numbers: never so long that it waits for one of the places of long work.
     pub(crate) fn of_reading(numbers: u64) -> Self {
         Self::of(numbers.min(LONG_WORK)).answering(numbers)
+    }
+
+    /// Of reading columns: what is more than a few is written while it is sent, from the world as it was.
+    pub(crate) fn of_columns<R: WireReal>(world: &World<R>, count: usize, properties: &[Property]) -> Self {
+        let numbers = columns::numbers(count as u64, properties);
+        if content::is_few(numbers) {
+            return Self::of_reading(numbers);
+        }
+        Self { held: world.bytes() + 4 * columns::PIECE_BYTES as u64, ..Self::default() }
     }
 
     /// With an answer that is kept.
@@ -303,6 +316,7 @@ impl<R: WireReal> Slot<R> {
             held.interrupted = true;
             let world = held.world.as_mut().expect("it was there above, under the same lock");
             let reply = apply(world, parsed, cancelled).map(|reply| reply.at(world.revision()));
+            let reply = if claim.is_some() { reply.map(Reply::whole) } else { reply };
             slot.description.lock().unwrap_or_else(PoisonError::into_inner).update(world);
             if let (Ok(reply), Some(claim)) = (&reply, claim) {
                 claim.answered(reply);
@@ -320,7 +334,7 @@ impl<R: WireReal> Slot<R> {
         read: &Read,
         query: Result<Q, Problem>,
         cost: impl Fn(&World<R>, &Q) -> Cost,
-        answer: impl FnOnce(&World<R>, Q, &AtomicBool) -> Result<Vec<u8>, Problem> + Send + 'static,
+        answer: impl FnOnce(&World<R>, Q, &AtomicBool) -> Result<Content, Problem> + Send + 'static,
     ) -> Result<Response, Problem> {
         let Read { target, preconditions, .. } = read;
         let check = |world: &World<R>| {
@@ -336,9 +350,9 @@ impl<R: WireReal> Slot<R> {
         let slot = Arc::clone(self);
         run(turn.work, move |cancelled| {
             let world = turn.held.world.as_ref().expect("it was there above, under the same lock");
-            let body = answer(world, query, cancelled);
+            let content = answer(world, query, cancelled);
             let charge = turn.end(&slot.answers);
-            Ok(Reply::ok(body?).at(revision).charged(charge).into_response())
+            Ok(Reply::of(content?).at(revision).charged(charge).into_response())
         })
         .await
     }
@@ -353,7 +367,7 @@ impl<R: WireReal> Slot<R> {
         let mut held = self.lock().await?;
         let mut place = None;
         for _ in 0..TURNS_MAX {
-            let Cost { work, bytes, answer } = check(held.world(target)?)?;
+            let Cost { work, bytes, answer, held: as_it_was } = check(held.world(target)?)?;
             if let Some(places) = self.shared.places(work)
                 && place.is_none()
             {
@@ -375,7 +389,7 @@ impl<R: WireReal> Slot<R> {
                 return Err(too_large(answer, self.shared.answer_bytes_max, ANSWER_BYTES_MAX));
             }
             let mut charge = Charge::none(&self.shared.in_flight);
-            charge.grow(answer)?;
+            charge.grow(answer.saturating_add(as_it_was))?;
             held.charge.grow(bytes)?;
             return Ok(Turn { held, place, work, charge });
         }

@@ -80,18 +80,20 @@ impl Activity {
 }
 
 impl Active {
-    /// Ends the request; its answer has to be taken within the patience, and as long as it takes at the least rate.
-    pub(crate) fn deliver(self, response: Response, app: &App) -> Response {
-        let bytes = response.body().size_hint().exact().unwrap_or_default();
-        if bytes == 0 {
-            return response;
+    /// Ends the request; its answer has to be taken within the patience, and as long as it takes at the least rate. One that
+    /// is made on the way goes on with the request, and each piece of it has to be taken so.
+    pub(crate) fn deliver(self, response: Response, app: &Arc<App>) -> Response {
+        match response.body().size_hint().exact() {
+            Some(0) => response,
+            Some(bytes) => {
+                let whole = Some(Arc::new(Delivery::of(bytes, &self.0, app)));
+                response.map(|body| Body::new(Delivered { body, whole, active: None }))
+            }
+            None => {
+                let active = Some((self, Arc::clone(app), app.underway.enter()));
+                response.map(|body| Body::new(Delivered { body, whole: None, active }))
+            }
         }
-        let patience =
-            app.config.write_timeout() + Duration::from_millis(bytes.saturating_mul(1000) / app.config.write_rate_min);
-        let ticket = self.0.begun.fetch_add(1, Ordering::Relaxed);
-        self.0.answers().push((ticket, Instant::now() + patience));
-        let delivery = Arc::new(Delivery { activity: Arc::clone(&self.0), ticket, _underway: app.underway.enter() });
-        response.map(|body| Body::new(Delivered { body, delivery }))
     }
 }
 
@@ -108,19 +110,31 @@ struct Delivery {
     _underway: Entered,
 }
 
+impl Delivery {
+    fn of(bytes: u64, activity: &Arc<Activity>, app: &App) -> Self {
+        let patience =
+            app.config.write_timeout() + Duration::from_millis(bytes.saturating_mul(1000) / app.config.write_rate_min);
+        let ticket = activity.begun.fetch_add(1, Ordering::Relaxed);
+        activity.answers().push((ticket, Instant::now() + patience));
+        Self { activity: Arc::clone(activity), ticket, _underway: app.underway.enter() }
+    }
+}
+
 impl Drop for Delivery {
     fn drop(&mut self) {
         self.activity.answers().retain(|(ticket, _)| *ticket != self.ticket);
     }
 }
 
-/// A body whose bytes hold on to its delivery.
+/// A body whose bytes hold on to its delivery, or each piece to its own.
 struct Delivered {
     body: Body,
-    delivery: Arc<Delivery>,
+    whole: Option<Arc<Delivery>>,
+    /// The request, for which pieces are made.
+    active: Option<(Active, Arc<App>, Entered)>,
 }
 
-struct Underway(Bytes, #[expect(dead_code, reason = "lives as long as the bytes")] Arc<Delivery>);
+struct Underway(Bytes, #[expect(dead_code, reason = "lives as long as the bytes")] Option<Arc<Delivery>>);
 
 impl AsRef<[u8]> for Underway {
     fn as_ref(&self) -> &[u8] {
@@ -137,7 +151,14 @@ impl HttpBody for Delivered {
         context: &mut Context<'_>,
     ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
         let frame = ready!(Pin::new(&mut self.body).poll_frame(context));
-        let held = |data| Bytes::from_owner(Underway(data, Arc::clone(&self.delivery)));
+        let delivery = |bytes| match (&self.whole, &self.active) {
+            (None, Some((active, app, _))) => Some(Arc::new(Delivery::of(bytes, &active.0, app))),
+            (whole, _) => whole.clone(),
+        };
+        let held = |data: Bytes| {
+            let delivery = delivery(data.len() as u64);
+            Bytes::from_owner(Underway(data, delivery))
+        };
         Poll::Ready(frame.map(|frame| frame.map(|frame| frame.map_data(held))))
     }
 

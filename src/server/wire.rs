@@ -9,7 +9,6 @@ use utoipa::openapi::schema::{ArrayBuilder, Schema};
 
 use crate::column::Column;
 use crate::command::{Command, Mass, NewParticles, Particle, Properties, Selection};
-use crate::error::Error;
 use crate::forces::Drag;
 use crate::ids::ParticleId;
 use crate::integrator::{DampingLaw, Integrator};
@@ -177,8 +176,8 @@ impl<R: WireReal> Description<R> {
     }
 }
 
-/// A property of a particle that can be asked for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// A property of a particle that can be asked for, in the order in which answers have them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Property {
     Position,
     Velocity,
@@ -611,114 +610,42 @@ impl<R: WireReal> ParticleView<R> {
     }
 }
 
-fn pair<R: WireReal>(Drag { k1, k2 }: Drag<R>) -> [R; 2] {
+pub(crate) fn pair<R: WireReal>(Drag { k1, k2 }: Drag<R>) -> [R; 2] {
     [k1, k2]
 }
 
-/// Columns of all particles in ascending order of id; only the fields that were asked for.
-#[derive(Debug, Serialize, ToSchema)]
-#[serde(bound = "")]
-#[schema(as = State, bound = "", example = json!({
+/// Columns, only those that were asked for; in CBOR each is a typed array (RFC 8746, little-endian, of the precision of the
+/// world; three numbers of a vector after each other), but for those that can have null.
+#[derive(ToSchema)]
+#[schema(as = State, example = json!({
     "time": 0.5, "count": 2, "id": [0, 1], "position": [[0.0, 1.5, 0.0], [2.0, 0.0, 0.0]]
 }))]
-pub(crate) struct State<R: WireReal> {
+#[expect(dead_code, reason = "stands for columns in the description")]
+pub(crate) struct State {
     /// The clock in seconds.
     time: f64,
     count: usize,
     id: Vec<u64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<Vec<VectorSchema>>, nullable = false)]
-    position: Option<Vec<[R; 3]>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<Vec<VectorSchema>>, nullable = false)]
-    velocity: Option<Vec<[R; 3]>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<Vec<VectorSchema>>, nullable = false)]
-    acceleration: Option<Vec<[R; 3]>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<Vec<Option<VectorSchema>>>, nullable = false)]
-    own_acceleration: Option<Vec<Option<[R; 3]>>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<Vec<f64>>, nullable = false)]
-    damping: Option<Vec<R>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<Vec<Option<f64>>>, nullable = false)]
-    mass: Option<Vec<Option<R>>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<Vec<f64>>, nullable = false)]
-    inverse_mass: Option<Vec<R>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<Vec<VectorSchema>>, nullable = false)]
-    force: Option<Vec<[R; 3]>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<Vec<Option<DragPairSchema>>>, nullable = false)]
-    drag: Option<Vec<Option<[R; 2]>>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<Vec<Option<f64>>>, nullable = false)]
-    gravitational_mass: Option<Vec<Option<R>>>,
-}
-
-impl<R: WireReal> State<R> {
-    /// Of all particles.
-    pub(crate) fn of(world: &World<R>, properties: &[Property]) -> Self {
-        Self::collect(world, world.particle_count(), world.particles(), properties)
-    }
-
-    /// Of these, in this order.
-    pub(crate) fn of_ids(world: &World<R>, ids: &[u64], properties: &[Property]) -> Result<Self, Error> {
-        let particle = |(index, &id)| {
-            let id = ParticleId(id);
-            world.particle(id).map_err(|_| Error::UnknownParticle { id, index })
-        };
-        let particles = ids.iter().enumerate().map(particle).collect::<Result<Vec<_>, _>>()?;
-        Ok(Self::collect(world, ids.len(), particles.into_iter(), properties))
-    }
-
-    fn collect(
-        world: &World<R>,
-        count: usize,
-        particles: impl Iterator<Item = ParticleState<R>>,
-        properties: &[Property],
-    ) -> Self {
-        fn start<T>(wanted: bool, count: usize) -> Option<Vec<T>> {
-            wanted.then(|| Vec::with_capacity(count))
-        }
-        fn push<T>(column: &mut Option<Vec<T>>, value: impl FnOnce() -> T) {
-            if let Some(column) = column {
-                column.push(value());
-            }
-        }
-        let wants = |property| properties.contains(&property);
-        let mut state = Self {
-            time: world.time(),
-            count,
-            id: Vec::with_capacity(count),
-            position: start(wants(Property::Position), count),
-            velocity: start(wants(Property::Velocity), count),
-            acceleration: start(wants(Property::Acceleration), count),
-            own_acceleration: start(wants(Property::OwnAcceleration), count),
-            damping: start(wants(Property::Damping), count),
-            mass: start(wants(Property::Mass), count),
-            inverse_mass: start(wants(Property::InverseMass), count),
-            force: start(wants(Property::Force), count),
-            drag: start(wants(Property::Drag), count),
-            gravitational_mass: start(wants(Property::GravitationalMass), count),
-        };
-        for particle in particles {
-            state.id.push(particle.id.0);
-            push(&mut state.position, || particle.position.into());
-            push(&mut state.velocity, || particle.velocity.into());
-            push(&mut state.acceleration, || particle.acceleration.into());
-            push(&mut state.own_acceleration, || particle.own_acceleration.map(Into::into));
-            push(&mut state.damping, || particle.damping);
-            push(&mut state.mass, || particle.mass());
-            push(&mut state.inverse_mass, || particle.inverse_mass);
-            push(&mut state.force, || particle.force.into());
-            push(&mut state.drag, || particle.drag.map(pair));
-            push(&mut state.gravitational_mass, || particle.gravitational_mass);
-        }
-        state
-    }
+    #[schema(nullable = false)]
+    position: Option<Vec<VectorSchema>>,
+    #[schema(nullable = false)]
+    velocity: Option<Vec<VectorSchema>>,
+    #[schema(nullable = false)]
+    acceleration: Option<Vec<VectorSchema>>,
+    #[schema(nullable = false)]
+    own_acceleration: Option<Vec<Option<VectorSchema>>>,
+    #[schema(nullable = false)]
+    damping: Option<Vec<f64>>,
+    #[schema(nullable = false)]
+    mass: Option<Vec<Option<f64>>>,
+    #[schema(nullable = false)]
+    inverse_mass: Option<Vec<f64>>,
+    #[schema(nullable = false)]
+    force: Option<Vec<VectorSchema>>,
+    #[schema(nullable = false)]
+    drag: Option<Vec<Option<DragPairSchema>>>,
+    #[schema(nullable = false)]
+    gravitational_mass: Option<Vec<Option<f64>>>,
 }
 
 /// What was created.

@@ -180,7 +180,9 @@ impl<R: Real> World<R> {
             None => (exact && advance.report_error).then_some(StepError { position: 0.0, velocity: 0.0 }),
         };
         let used = |values| if integrated == 0 { Values::None } else { values };
-        self.particles.force.clear(&self.ids);
+        if !self.particles.force.is_clear() {
+            self.particles.force.clear(&self.ids);
+        }
         self.bounds.force = 0.0;
         self.clock = clock;
         self.step_count += done.steps;
@@ -241,7 +243,7 @@ impl<R: Real> World<R> {
     /// otherwise the state before is kept, and put back when the advance is cancelled or diverges. How many were looked at.
     fn step(&mut self, plan: StepPlan, cancelled: &AtomicBool) -> Result<usize, Error> {
         let step = Step { integrator: self.settings.integrator, h: R::nearest(plan.step) };
-        self.factors.prepare(&self.particles.damping, self.settings.damping_law, step.h);
+        self.prepare_factors(step.h);
         let bounds = self.bounds.after_steps::<R>(plan).or_else(|| {
             self.bounds = Bounds::of(&self.particles, self.gravity());
             self.bounds.after_steps::<R>(plan)
@@ -401,12 +403,13 @@ impl<R: Real> World<R> {
         let (mut p, mut v) = (Vec::new(), Vec::new());
         for rows in Rows::List(&forced).blocks() {
             forces.flow(self, &rows, &mut p, &mut v);
+            let particles = &mut *self.particles;
             for (row, (p, v)) in rows.iter().zip(p.iter().zip(&v)) {
-                (self.particles.position[row], self.particles.velocity[row]) = (*p, *v);
+                (particles.position[row], particles.velocity[row]) = (*p, *v);
                 if forced.len() < len {
-                    self.particles.base_time.set(row, clock, len);
+                    particles.base_time.set(row, clock, len);
                 }
-                self.bounds.include(&self.particles, row);
+                self.bounds.include(particles, row);
             }
         }
         if forced.len() == len {

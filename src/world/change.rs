@@ -62,8 +62,8 @@ impl<R: Real> World<R> {
         let position = position.map(|column| vectors(column, Field::Position, rows.len())).transpose()?;
         let velocity = velocity.map(|column| vectors(column, Field::Velocity, rows.len())).transpose()?;
         self.rebase_many(&Rows::List(&rows));
+        let particles = &mut *self.particles;
         for (i, &row) in rows.iter().enumerate() {
-            let particles = &mut self.particles;
             if let Some(position) = &position {
                 particles.position[row] = position.get(i);
                 particles.residual.position.get_mut(row).into_iter().for_each(|residual| *residual = zero());
@@ -72,8 +72,8 @@ impl<R: Real> World<R> {
                 particles.velocity[row] = velocity.get(i);
                 particles.residual.velocity.get_mut(row).into_iter().for_each(|residual| *residual = zero());
             }
-            self.particles.note_rest(row);
-            self.bounds.include(&self.particles, row);
+            particles.note_rest(row);
+            self.bounds.include(particles, row);
         }
         Ok(Outcome::Changed { count: rows.len() })
     }
@@ -95,7 +95,7 @@ impl<R: Real> World<R> {
             self.factors.forget();
         }
         let every = *ids == Selection::All;
-        let particles = &mut self.particles;
+        let particles = &mut *self.particles;
         let len = particles.len();
         let has_own = acceleration.as_ref().map(|column| column.map(|own| own.is_some()).collapsed());
         let own = acceleration.map(|column| column.map(Option::unwrap_or_default));
@@ -112,8 +112,8 @@ impl<R: Real> World<R> {
             }
         }
         for &row in &rows {
-            self.particles.note_rest(row);
-            self.bounds.include(&self.particles, row);
+            particles.note_rest(row);
+            self.bounds.include(particles, row);
         }
         Ok(Outcome::Changed { count: rows.len() })
     }
@@ -140,15 +140,16 @@ impl<R: Real> World<R> {
         let most = self.bounds.force + largest * rows.len() as f64;
         let may_overflow = most >= 0.5 * R::LARGEST;
         let before = may_overflow.then(|| self.particles.force.clone());
+        let particles = &mut *self.particles;
         for (i, &row) in rows.iter().enumerate() {
-            let sum = add(self.particles.force.get(row), force.get(i));
+            let sum = add(particles.force.get(row), force.get(i));
             if let Some(before) = &before
                 && !sum.iter().all(|x| x.is_finite())
             {
-                self.particles.force = before.clone();
+                particles.force = before.clone();
                 return Err(self.overflow(row, Quantity::Force, Field::Force, &force, i));
             }
-            self.particles.force.set(row, self.ids.id(row), sum, len);
+            particles.force.set(row, self.ids.id(row), sum, len);
         }
         self.bounds.force = most;
         Ok(Outcome::Changed { count: rows.len() })
@@ -200,9 +201,10 @@ impl<R: Real> World<R> {
                 ids.clone()
             }
         };
+        let (ids, particles) = (&mut *self.ids, &mut *self.particles);
         for &id in &listed {
-            let row = self.ids.remove(id).expect("every id was looked up above");
-            self.particles.swap_remove(row);
+            let row = ids.remove(id).expect("every id was looked up above");
+            particles.swap_remove(row);
         }
         self.factors.forget();
         Ok(Outcome::Changed { count: listed.len() })

@@ -28,9 +28,6 @@ impl<R: Real> Factors<R> {
     }
 
     pub(super) fn prepare(&mut self, damping: &Column<R>, law: DampingLaw, h: R) {
-        if self.of == Some((law, h)) {
-            return;
-        }
         let mut seen = HashMap::new();
         let mut last = (R::ONE, R::ONE);
         self.values.clear();
@@ -79,6 +76,14 @@ fn room<R: Real>(room: &mut Option<Room<R>>, len: usize) -> &mut [[R; 3]] {
 }
 
 impl<R: Real> World<R> {
+    /// Computes D for steps of this length, unless it is there.
+    pub(super) fn prepare_factors(&mut self, h: R) {
+        let law = self.settings.damping_law;
+        if self.factors.of != Some((law, h)) {
+            self.factors.prepare(&self.particles.damping, law, h);
+        }
+    }
+
     /// What drives some rows, if nothing has to be computed for each of them.
     pub(super) fn drive_as_it_is(&self, rows: Range<usize>) -> Option<Drive<'_, R>> {
         Some(Drive { acceleration: self.acceleration_as_it_is(rows)?, damping: self.damping_as_it_is()? })

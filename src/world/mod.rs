@@ -4,6 +4,8 @@ mod advance;
 mod batch;
 mod bounds;
 mod change;
+#[cfg(feature = "server")]
+mod columns;
 #[cfg(feature = "digest")]
 mod digest;
 mod drive;
@@ -24,6 +26,7 @@ use crate::forces::Drag;
 use crate::ids::{Ids, ParticleId};
 use crate::particles::Particles;
 use crate::real::Real;
+use crate::shared::Shared;
 use crate::threads::Threads;
 use bounds::Bounds;
 use drive::Factors;
@@ -32,6 +35,8 @@ use motion::{Carrier, Rows, Span};
 pub use advance::StepPlan;
 #[cfg(feature = "server")]
 pub(crate) use batch::{Keep, Part};
+#[cfg(feature = "server")]
+pub(crate) use columns::Block;
 #[cfg(feature = "digest")]
 pub use digest::Digest;
 pub use trajectory::Trajectory;
@@ -49,17 +54,19 @@ pub use trajectory::Trajectory;
 /// assert_eq!(state.velocity, DVec3::new(3.0, 5.0, 0.0));
 /// # Ok::<(), pointmass::Error>(())
 /// ```
+///
+/// A clone takes no time and no memory until it, or the world, is written: then that one takes a copy of the particles.
 #[derive(Debug, Clone)]
 pub struct World<R: Real = f64> {
     settings: Settings<R>,
     limits: Limits,
-    particles: Particles<R>,
-    ids: Ids,
+    particles: Shared<Particles<R>>,
+    ids: Shared<Ids>,
     clock: DoubleDouble,
     step_count: u64,
     revision: u64,
     bounds: Bounds,
-    factors: Factors<R>,
+    factors: Shared<Factors<R>>,
     threads: Threads,
     level: Level,
 }
@@ -164,13 +171,13 @@ impl<R: Real> World<R> {
         let mut world = Self {
             settings: Settings::default(),
             limits,
-            particles: Particles::new(),
-            ids: Ids::default(),
+            particles: Shared::new(Particles::new()),
+            ids: Shared::default(),
             clock: DoubleDouble::default(),
             step_count: 0,
             revision: 0,
             bounds: Bounds::default(),
-            factors: Factors::default(),
+            factors: Shared::default(),
             threads: Threads::default(),
             level: Level::new(),
         };
@@ -484,6 +491,12 @@ impl<R: Real> World<R> {
                 show(&mut ids.into_iter(), &Rows::List(&rows));
             }
         }
+    }
+
+    /// The memory of a copy that something else than the world holds, once the world was written.
+    #[cfg(feature = "server")]
+    pub(crate) fn bytes(&self) -> u64 {
+        self.particles.bytes() + self.ids.bytes()
     }
 
     fn gravity(&self) -> [R; 3] {

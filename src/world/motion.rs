@@ -119,6 +119,12 @@ impl Carrier {
         Self { span, forced, still, forms, same, uniform_acceleration, own_forms: Vec::new(), terms }
     }
 
+    /// Whether everybody is where the columns say.
+    #[cfg(feature = "server")]
+    pub(super) fn is_still(&self) -> bool {
+        self.still
+    }
+
     /// Carries at most a block of rows, from the given positions and velocities.
     pub(super) fn carry<R: Real>(&mut self, world: &World<R>, rows: &Rows<'_>, p: &mut [[R; 3]], v: &mut [[R; 3]]) {
         if self.still {
@@ -204,14 +210,7 @@ impl<R: Real> World<R> {
     /// states always hold at the clock.
     pub(super) fn rebase(&mut self, row: usize) {
         let (position, velocity) = self.now(row);
-        self.set_base(row, position, velocity);
-    }
-
-    fn set_base(&mut self, row: usize, position: [R; 3], velocity: [R; 3]) {
-        let len = self.particles.len();
-        (self.particles.position[row], self.particles.velocity[row]) = (position, velocity);
-        self.particles.base_time.set(row, self.clock, len);
-        self.particles.note_rest(row);
+        self.particles.set_base(row, position, velocity, self.clock);
     }
 
     /// The same for many rows.
@@ -226,8 +225,9 @@ impl<R: Real> World<R> {
         let mut carrier = Carrier::new(self, Span::To(self.clock), false, count);
         let ends = p.chunks_mut(BLOCK).zip(v.chunks_mut(BLOCK));
         rows.clone().blocks().zip(ends).for_each(|(rows, (p, v))| carrier.carry(self, &rows, p, v));
+        let particles = &mut *self.particles;
         for (row, (p, v)) in rows.iter().zip(p.into_iter().zip(v)) {
-            self.set_base(row, p, v);
+            particles.set_base(row, p, v, self.clock);
         }
     }
 }

@@ -53,7 +53,7 @@ impl<R: Real> World<R> {
             residual.velocity.clone(),
         ];
         if self.settings.integrator.is_euler() {
-            self.factors.prepare(&self.particles.damping, self.settings.damping_law, R::nearest(plan.step));
+            self.prepare_factors(R::nearest(plan.step));
         }
         let done = if self.settings.integrator == Integrator::Dop853 {
             self.run_adaptive(plan, advance, cancelled, &mut columns)?
@@ -67,7 +67,7 @@ impl<R: Real> World<R> {
             self.check_finite(plan.step, done.steps, &columns, cancelled)?;
         }
         self.keep_resting(&mut columns);
-        let particles = &mut self.particles;
+        let particles = &mut *self.particles;
         [particles.position, particles.velocity, particles.residual.position, particles.residual.velocity] = columns;
         self.bounds = Bounds::unknown();
         Ok(Done { inspected: self.particles.len(), ..done })

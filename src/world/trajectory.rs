@@ -10,6 +10,7 @@ use crate::ids::ParticleId;
 use crate::integrator::Integrator;
 use crate::kernel;
 use crate::real::Real;
+use crate::shared::Shared;
 use crate::world::World;
 use crate::world::advance::CLOCK_MAX;
 use crate::world::bounds::Bounds;
@@ -151,7 +152,7 @@ impl<R: Real> World<R> {
     fn alone(&self, row: usize) -> Self {
         let mut alone = Self { limits: self.limits, ..Self::new(self.settings).expect("they are in force here") };
         alone.clock = self.clock;
-        alone.particles = self.particles.alone(row, self.clock, self.settings.compensated);
+        alone.particles = Shared::new(self.particles.alone(row, self.clock, self.settings.compensated));
         alone.ids.create(1);
         alone.bounds = Bounds::of(&alone.particles, alone.gravity());
         alone

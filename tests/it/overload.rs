@@ -85,7 +85,7 @@ fn long_advances_wait_for_a_place_and_not_for_ever() {
 /// What bodies and answers take together has an end too, and comes back when they are through.
 #[test]
 fn requests_in_flight_share_a_budget() {
-    let service = Service::with(|config| config.in_flight_bytes_max = 1 << 20);
+    let service = Service::with(|config| config.in_flight_bytes_max = 3 << 19);
     let mut client = service.client();
     client.put("/v1/worlds/a", "").expect(201);
     client.post("/v1/worlds/a/particles", r#"{"count":5000,"velocity":[0.1,0.2,0.3]}"#).expect(201);
@@ -93,7 +93,7 @@ fn requests_in_flight_share_a_budget() {
     client.post("/v1/worlds/a/particles", &body).expect(201);
     // A body that is announced and does not come holds its part.
     let mut slow = service.client();
-    slow.raw(b"POST /v1/worlds/a/particles HTTP/1.1\r\nhost: localhost\r\ncontent-length: 63500\r\n\r\n[");
+    slow.raw(b"POST /v1/worlds/a/particles HTTP/1.1\r\nhost: localhost\r\ncontent-length: 95000\r\n\r\n[");
     wait_for_in_flight(service.address, 1);
     check_overloaded(&client.post("/v1/worlds/a/particles", &body), "--in-flight-bytes-max");
     check_overloaded(&client.get("/v1/worlds/a/state"), "--in-flight-bytes-max");

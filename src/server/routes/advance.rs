@@ -12,13 +12,15 @@ use crate::command::{Advance, Advanced, Command, Outcome, Plane, Settings, StepE
 use crate::ids::ParticleId;
 use crate::integrator::Integrator;
 use crate::server::App;
+use crate::server::columns::Columns;
 use crate::server::config::{Config, DURATION_MAX};
+use crate::server::content::Composer;
 use crate::server::extract::Change;
 use crate::server::json::{self, Named, Object, Vector, WireReal, present};
 use crate::server::memory::{ADAPTIVE_BYTES, COMPARED_BYTES, PARTICLE_BYTES, SYSTEM_BYTES};
 use crate::server::problem::{Code, Problem, Shape};
 use crate::server::reply::Reply;
-use crate::server::slot::{Cost, with_slot};
+use crate::server::slot::{Cost, Shared, with_slot};
 use crate::server::wire::{self, Property, VectorSchema};
 use crate::world::World;
 
@@ -97,12 +99,11 @@ struct StepErrorBody {
 
 /// What the advance did.
 #[derive(Debug, Serialize, ToSchema)]
-#[serde(bound = "")]
-#[schema(as = Advanced, bound = "", example = json!({
+#[schema(as = Advanced, example = json!({
     "time": 0.5, "duration": 0.5, "steps": 1, "step": 0.5, "step_count": 1,
     "integrated": 0, "deferred": 3, "skipped": 1, "revision": 7
 }))]
-pub(crate) struct AdvancedBody<R: WireReal> {
+pub(crate) struct AdvancedBody {
     /// The clock of the world, in seconds.
     time: f64,
     /// In seconds, as asked.
@@ -139,9 +140,10 @@ pub(crate) struct AdvancedBody<R: WireReal> {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     revision: Option<u64>,
+    /// The columns that `return` names.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<wire::State<f64>>, nullable = false)]
-    state: Option<wire::State<R>>,
+    #[schema(value_type = Option<wire::State>, nullable = false)]
+    state: Option<()>,
 }
 
 /// Advances a world
@@ -149,23 +151,28 @@ pub(crate) struct AdvancedBody<R: WireReal> {
 /// Answers when the work is done. Forces act through all steps and are then cleared. Advances of one world happen in
 /// the order in which they were accepted.
 #[utoipa::path(post, path = "/v1/worlds/{world}/advance", tag = "advance", request_body = AdvanceBody,
-    responses((status = 200, body = AdvancedBody<f64>, headers(("etag" = String)))))]
+    responses((status = 200, body = AdvancedBody, headers(("etag" = String)))))]
 async fn advance(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
     let any = app.slot(&change.target)?;
     let parsed = json::parse::<Object<AdvanceBody>>(&change.body).and_then(|Object(body)| {
         check_duration(body.duration, &app.config, "/duration")?;
         Ok(body)
     });
+    let encoding = change.encoding;
     with_slot!(any, slot => {
         change.apply(&slot, parsed, cost, move |world, body, cancelled| {
             let command = Command::Advance(body.advance());
             let properties = body.properties.map(wire::named);
+            let revision = Some(world.revision() + u64::from(!body.dry_run));
             let apply = |world: &mut World<_>| {
                 let outcome = world.apply_unless(&command, cancelled).map_err(|error| Problem::from_engine(error, Shape::World))?;
                 let Outcome::Advanced(advanced) = outcome else { unreachable!("an advance answers with what it advanced") };
-                Ok((advanced, properties.as_ref().map(|properties| wire::State::of(world, properties))))
+                let mut composer = Composer::new(encoding);
+                let answer = AdvancedBody { revision, ..AdvancedBody::new(&advanced, world, body.report_error) };
+                answer.write(world, properties.as_deref(), &app.shared, &mut composer);
+                Ok((advanced, composer.content()))
             };
-            let (advanced, state) = if body.dry_run {
+            let (advanced, content) = if body.dry_run {
                 apply(&mut world.clone())?
             } else {
                 apply(world)?
@@ -173,7 +180,7 @@ async fn advance(State(app): State<Arc<App>>, change: Change) -> Result<Response
             if !body.dry_run {
                 app.metrics.advanced(&advanced);
             }
-            Ok(Reply::ok(json::write(&AdvancedBody { state, ..AdvancedBody::new(&advanced, world, body.report_error) })))
+            Ok(Reply::of(content))
         }).await
     })
 }
@@ -236,18 +243,23 @@ impl AdvanceBody {
     }
 }
 
-impl<R: WireReal> AdvancedBody<R> {
-    /// Of one command of several.
-    pub(crate) fn in_batch(
-        advanced: &Advanced,
+impl AdvancedBody {
+    /// Writes it, with columns of the world where they were asked for.
+    pub(crate) fn write<R: WireReal>(
+        self,
         world: &World<R>,
-        report_error: bool,
-        state: Option<wire::State<R>>,
-    ) -> Self {
-        Self { revision: None, state, ..Self::new(advanced, world, report_error) }
+        properties: Option<&[Property]>,
+        shared: &Arc<Shared>,
+        composer: &mut Composer,
+    ) {
+        let Some(properties) = properties else { return composer.writer.value(&self) };
+        composer.writer.value_without_end(&Self { state: Some(()), ..self });
+        composer.columns(world, Columns::of(world, properties), shared);
+        composer.writer.end_map();
     }
 
-    fn new(advanced: &Advanced, world: &World<R>, report_error: bool) -> Self {
+    /// Of one command of several, which have one revision.
+    pub(crate) fn new<R: WireReal>(advanced: &Advanced, world: &World<R>, report_error: bool) -> Self {
         let Advanced { time, duration, steps, step, step_count, integrated, deferred, skipped, crossed, .. } =
             *advanced;
         let chooses = world.settings().integrator == Integrator::Dop853;
@@ -264,7 +276,7 @@ impl<R: WireReal> AdvancedBody<R> {
             evaluations: chooses.then_some(advanced.evaluations),
             error: report_error.then(|| advanced.error.map(StepErrorBody::new)),
             crossed,
-            revision: Some(world.revision()),
+            revision: None,
             state: None,
         }
     }

@@ -1,18 +1,13 @@
 //! Several commands in one request: as one change of a world, and for many worlds side by side.
 
-use std::collections::{HashMap, HashSet, VecDeque};
-use std::convert::Infallible;
+use std::collections::{HashMap, HashSet};
 use std::fmt;
-use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::task::{Context, Poll};
 
-use axum::body::{Body, Bytes};
+use axum::body::Bytes;
 use axum::extract::State;
-use axum::http::header;
 use axum::response::{IntoResponse, Response};
-use hyper::body::{Frame, SizeHint};
 use serde::de::{Deserializer, Error as _, MapAccess, Visitor};
 use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
@@ -24,9 +19,11 @@ use crate::command::{Advance, Advanced, Command, Outcome, Selection};
 use crate::error::{Error, Limit};
 use crate::ids::ParticleId;
 use crate::server::App;
+use crate::server::columns::{self, Columns};
 use crate::server::config::{COMMANDS_MAX, Config, WORLDS_MAX};
+use crate::server::content::Composer;
+use crate::server::encoding::Encoding;
 use crate::server::extract::{Change, NoParameters};
-use crate::server::idempotency::IDEMPOTENCY_REPLAYED;
 use crate::server::json::{self, Named, Object, Vector, WireReal, column, parse_part, present};
 use crate::server::memory::{PARTICLE_BYTES, objects};
 use crate::server::problem::{Code, Problem, ProblemBody, Shape};
@@ -34,7 +31,7 @@ use crate::server::reply::Reply;
 use crate::server::routes::advance::{AdvanceBody, AdvancedBody, bytes_of_copies, check_duration};
 use crate::server::routes::forces::ForcesBody;
 use crate::server::routes::particles::{CreateBody, New, read_new};
-use crate::server::slot::{Cost, with_slot};
+use crate::server::slot::{Cost, Shared, with_slot};
 use crate::server::wire::{self, Created, Property, SetManyBody, VectorColumn, optional_column, selection};
 use crate::world::{Keep, Part, World};
 
@@ -141,38 +138,27 @@ struct ReadBody {
 }
 
 /// What the commands did, in their order.
-#[derive(Debug, Serialize, ToSchema)]
-#[serde(bound = "")]
-#[schema(as = CommandResults, bound = "", example = json!({
+#[derive(ToSchema)]
+#[schema(as = CommandResults, example = json!({
     "results": [{"first_id": 0, "count": 1}, {"count": 1}, {"time": 0.016, "count": 1, "id": [0], "position": [[0.0, 1.0, 0.0]]}],
     "revision": 1
 }))]
-struct Results<R: WireReal> {
-    #[schema(value_type = Vec<ResultSchema>)]
-    results: Vec<CommandResult<R>>,
+#[expect(dead_code, reason = "stands for the answer in the description")]
+struct Results {
+    results: Vec<CommandResult>,
     /// One further, if anything was changed.
     revision: u64,
 }
 
-#[derive(Debug, Serialize)]
-#[serde(untagged, bound = "")]
-enum CommandResult<R: WireReal> {
-    Created(Created),
-    Changed(Counted),
-    Advanced(Box<AdvancedBody<R>>),
-    Read(Box<wire::State<R>>),
-}
-
 /// What a command did: ids of created particles, a count, the report of an advance, or the columns of a read.
 #[derive(ToSchema)]
-#[schema(as = CommandResult)]
 #[serde(untagged)]
 #[expect(dead_code, reason = "stands for the result in the description")]
-enum ResultSchema {
+enum CommandResult {
     Created(Created),
     Changed(Counted),
-    Advanced(AdvancedBody<f64>),
-    Read(wire::State<f64>),
+    Advanced(AdvancedBody),
+    Read(wire::State),
 }
 
 /// How many particles a command spoke of.
@@ -212,7 +198,7 @@ struct WorldsAnswer {
 #[serde(untagged)]
 #[expect(dead_code, reason = "stands for the answer in the description")]
 enum WorldAnswer {
-    Results(Results<f64>),
+    Results(Results),
     Problem(ProblemBody<'static>),
 }
 
@@ -248,7 +234,7 @@ impl<'de: 'a, 'a> Deserialize<'de> for ByName<'a> {
 /// In their order, all or none: when one is refused the world is as it was, and the pointer leads to that command. The
 /// revision grows by one, and by none when the commands only read. Their advances together may cost what one may.
 #[utoipa::path(post, path = "/v1/worlds/{world}/commands", tag = "commands", request_body = CommandsBody,
-    responses((status = 200, body = Results<f64>, headers(("etag" = String)))))]
+    responses((status = 200, body = Results, headers(("etag" = String)))))]
 async fn run_commands(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
     run(&app, &change).await.map(IntoResponse::into_response)
 }
@@ -290,7 +276,7 @@ async fn run_commands_in_worlds(State(app): State<Arc<App>>, change: Change) -> 
             Err(error) => tracing::error!(%error, "panic"),
         }
     }
-    Ok(of_worlds(&names, answers))
+    Ok(of_worlds(&names, answers, change.encoding))
 }
 
 /// The commands of each world, without a copy.
@@ -306,47 +292,24 @@ fn worlds(body: &Bytes, config: &Config) -> Result<Vec<(String, Bytes)>, Problem
 }
 
 /// One answer of the answers of all worlds, which are not copied.
-fn of_worlds(names: &[String], answers: Vec<Result<Reply, Problem>>) -> Response {
+fn of_worlds(names: &[String], answers: Vec<Result<Reply, Problem>>, encoding: Encoding) -> Response {
     let is_replayed =
         !answers.is_empty() && answers.iter().flatten().filter(|reply| reply.is_replayed).count() == answers.len();
-    let mut parts = Parts(VecDeque::new());
+    let mut composer = Composer::new(encoding);
+    composer.writer.begin_map(1);
+    composer.writer.key("worlds");
+    composer.writer.begin_map(names.len());
     for (name, answer) in names.iter().zip(answers) {
-        let begin = if parts.0.is_empty() { "{\"worlds\":{" } else { "," };
-        let quoted = serde_json::to_string(name).expect("a string is always JSON");
-        let body = answer.map_or_else(
-            |problem| problem.under(&format!("/worlds{}", json::member(name))).body().into(),
-            |reply| reply.body,
-        );
-        let text = body.len() - usize::from(body.ends_with(b"\n"));
-        parts.0.extend([Bytes::from(format!("{begin}{quoted}:")), body.slice(..text)]);
+        composer.writer.key(name);
+        match answer {
+            Ok(reply) => composer.append(reply.content),
+            Err(problem) => composer.writer.value(&problem.under(&format!("/worlds{}", json::member(name))).wire()),
+        }
     }
-    parts.0.push_back(Bytes::from_static(if names.is_empty() { b"{\"worlds\":{}}\n" } else { b"}}\n" }));
-    let mut response = ([(header::CONTENT_TYPE, "application/json")], Body::new(parts)).into_response();
-    if is_replayed {
-        response.headers_mut().insert(IDEMPOTENCY_REPLAYED, header::HeaderValue::from_static("true"));
-    }
-    response
-}
-
-/// A body in parts, each of which keeps its own charge.
-#[derive(Debug)]
-struct Parts(VecDeque<Bytes>);
-
-impl hyper::body::Body for Parts {
-    type Data = Bytes;
-    type Error = Infallible;
-
-    fn poll_frame(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
-        Poll::Ready(self.get_mut().0.pop_front().map(|part| Ok(Frame::data(part))))
-    }
-
-    fn is_end_stream(&self) -> bool {
-        self.0.is_empty()
-    }
-
-    fn size_hint(&self) -> SizeHint {
-        SizeHint::with_exact(self.0.iter().map(|part| part.len() as u64).sum())
-    }
+    composer.writer.end_map();
+    composer.writer.end_map();
+    let reply = Reply::of(composer.content());
+    if is_replayed { reply.replayed() } else { reply }.into_response()
 }
 
 /// Changes the world of the path by the commands of the body.
@@ -356,9 +319,9 @@ async fn run(app: &Arc<App>, change: &Change) -> Result<Reply, Problem> {
         let held = Arc::clone(app);
         let parsed = app.shared.parse(change.body.clone(), move |body| Batch::read(body, &held.config)).await;
         let parsed = parsed.and_then(|batch| change.query::<NoParameters>().map(|_| batch));
-        let app = Arc::clone(app);
+        let (app, encoding) = (Arc::clone(app), change.encoding);
         slot.change(change, parsed, |world, batch: &Batch<_>| batch.cost(world), move |world, batch, cancelled| {
-            batch.run(&app, world, cancelled)
+            batch.run(&app, world, encoding, cancelled)
         }).await
     })
 }
@@ -544,11 +507,11 @@ impl<R: WireReal> Batch<R> {
                     let is_over = matches!(world.plan(&advance), Err(Error::LimitReached { .. }));
                     let done = if is_over { u64::MAX } else { world.work_with(&advance, more) };
                     is_settled = false;
-                    (done, 20 + columns(properties.as_deref().unwrap_or_default()).saturating_mul(count))
+                    (done, 20 + columns::numbers(count, properties.as_deref().unwrap_or_default()))
                 }
                 Task::Read(ids, properties) => {
                     let count = ids.as_ref().map_or(count, |ids| ids.len() as u64);
-                    (0, 4 + columns(properties).saturating_mul(count))
+                    (0, 4 + columns::numbers(count, properties))
                 }
             };
             work = work.saturating_add(done).saturating_add(written);
@@ -564,35 +527,46 @@ impl<R: WireReal> Batch<R> {
         Cost { bytes: bytes.saturating_add(copied), ..Cost::of(work).answering(numbers) }
     }
 
-    fn run(self, app: &App, world: &mut World<R>, cancelled: &AtomicBool) -> Result<Reply, Problem> {
-        let mut advances = Vec::new();
-        let results = world.keeping(self.keep(world), |world| {
-            let each = self.items.into_iter().enumerate().map(|(index, item)| {
+    fn run(
+        self,
+        app: &App,
+        world: &mut World<R>,
+        encoding: Encoding,
+        cancelled: &AtomicBool,
+    ) -> Result<Reply, Problem> {
+        let mut answer = Answer { composer: Composer::new(encoding), shared: &app.shared, advances: Vec::new() };
+        answer.composer.writer.begin_map(2);
+        answer.composer.writer.key("results");
+        answer.composer.writer.begin_list(self.items.len());
+        world.keeping(self.keep(world), |world| {
+            self.items.into_iter().enumerate().try_for_each(|(index, item)| {
                 let name = item.name;
-                let result = item.run(world, cancelled, &mut advances);
-                result.map_err(|problem| problem.under(&format!("{}/{name}", place_of(index))))
-            });
-            each.collect::<Result<Vec<_>, Problem>>()
+                answer.composer.writer.item();
+                let done = item.run(world, cancelled, &mut answer);
+                done.map_err(|problem| problem.under(&format!("{}/{name}", place_of(index))))
+            })
         })?;
+        let Answer { mut composer, advances, .. } = answer;
         for advanced in &advances {
             app.metrics.advanced(advanced);
         }
-        Ok(Reply::ok(json::write(&Results { results, revision: world.revision() })))
+        composer.writer.end_list();
+        composer.writer.key("revision");
+        composer.writer.value(&world.revision());
+        composer.writer.end_map();
+        Ok(Reply::of(composer.content()))
     }
 }
 
-/// Numbers in the columns of one particle.
-fn columns(properties: &[Property]) -> u64 {
-    1 + 3 * properties.len() as u64
+/// What is answered as the commands are done.
+struct Answer<'a> {
+    composer: Composer,
+    shared: &'a Arc<Shared>,
+    advances: Vec<Advanced>,
 }
 
 impl<R: WireReal> Item<R> {
-    fn run(
-        self,
-        world: &mut World<R>,
-        cancelled: &AtomicBool,
-        advances: &mut Vec<Advanced>,
-    ) -> Result<CommandResult<R>, Problem> {
+    fn run(self, world: &mut World<R>, cancelled: &AtomicBool, answer: &mut Answer<'_>) -> Result<(), Problem> {
         let shape = self.shape;
         let apply = |world: &mut World<R>, command: &Command<R>| {
             // Only an advance looks itself.
@@ -605,10 +579,11 @@ impl<R: WireReal> Item<R> {
                 if is_shared { problem.adding("; the advances of a batch share the limits of one") } else { problem }
             })
         };
+        let Answer { composer, shared, advances } = answer;
         match self.task {
             Task::Change(command) => match apply(world, &command)? {
-                Outcome::Created { first, count } => Ok(CommandResult::Created(Created { first_id: first.0, count })),
-                Outcome::Changed { count } => Ok(CommandResult::Changed(Counted { count })),
+                Outcome::Created { first, count } => composer.writer.value(&Created { first_id: first.0, count }),
+                Outcome::Changed { count } => composer.writer.value(&Counted { count }),
                 Outcome::Advanced(_) | Outcome::Configured => unreachable!("it is neither"),
             },
             Task::Advance(advance, properties) => {
@@ -616,15 +591,18 @@ impl<R: WireReal> Item<R> {
                     unreachable!("an advance answers with what it advanced")
                 };
                 advances.push(advanced);
-                let state = properties.map(|properties| wire::State::of(world, &properties));
-                let body = AdvancedBody::in_batch(&advanced, world, advance.report_error, state);
-                Ok(CommandResult::Advanced(Box::new(body)))
+                let body = AdvancedBody::new(&advanced, world, advance.report_error);
+                body.write(world, properties.as_deref(), shared, composer);
             }
-            Task::Read(None, properties) => Ok(CommandResult::Read(Box::new(wire::State::of(world, &properties)))),
+            Task::Read(None, properties) => composer.columns(world, Columns::of(world, &properties), shared),
             Task::Read(Some(ids), properties) => {
-                let state = wire::State::of_ids(world, &ids, &properties);
-                Ok(CommandResult::Read(Box::new(state.map_err(|error| Problem::from_engine(error, shape))?)))
+                if let Some(index) = ids.iter().position(|id| !world.contains(ParticleId(*id))) {
+                    let unknown = Error::UnknownParticle { id: ParticleId(ids[index]), index };
+                    return Err(Problem::from_engine(unknown, shape));
+                }
+                composer.columns(world, Columns::of_ids(&ids, &properties), shared);
             }
         }
+        Ok(())
     }
 }

@@ -101,6 +101,7 @@ async fn add_forces(State(app): State<Arc<App>>, change: Change) -> Result<Respo
     let any = app.slot(&change.target)?;
     with_slot!(any, slot => {
         let parsed = app.shared.parse(change.body.clone(), read).await;
-        change.apply(&slot, parsed, many, |world, command, _| apply_to_many(world, &command)).await
+        let encoding = change.encoding;
+        change.apply(&slot, parsed, many, move |world, command, _| apply_to_many(world, &command, encoding)).await
     })
 }

@@ -16,8 +16,10 @@ use axum::response::{IntoResponse, Response};
 use crate::command::{Command, Outcome, Selection};
 use crate::ids::ParticleId;
 use crate::real::Real;
+use crate::server::content::Content;
+use crate::server::encoding::Encoding;
 use crate::server::extract::{Change, NoParameters};
-use crate::server::json::{self, WireReal};
+use crate::server::json::WireReal;
 use crate::server::problem::{Problem, Shape};
 use crate::server::reply::Reply;
 use crate::server::slot::{Cost, Slot};
@@ -43,6 +45,7 @@ impl Change {
         slot: &Arc<Slot<R>>,
         read: impl FnOnce(&[u8], ParticleId) -> Result<Command<R>, Problem>,
     ) -> Result<Response, Problem> {
+        let encoding = self.encoding;
         // An unknown particle is told before anything about the body.
         let id = self.target.particle().unwrap_or(ParticleId(u64::MAX));
         let command = read(&self.body, id);
@@ -50,7 +53,7 @@ impl Change {
         let cost = |world: &World<R>, _: &Command<R>| Cost::of(world.particle_count() as u64 / 8);
         self.apply(slot, command, cost, move |world, command, _| {
             world.apply(&command).map_err(|error| Problem::from_engine(error, Shape::Particle))?;
-            Ok(Reply::ok(whole(world, id)?))
+            Ok(Reply::of(whole(world, id, encoding)?))
         })
         .await
     }
@@ -69,14 +72,18 @@ pub(crate) fn many<R: Real>(world: &World<R>, command: &Command<R>) -> Cost {
 }
 
 /// The answer with one particle.
-pub(crate) fn whole<R: WireReal>(world: &World<R>, id: ParticleId) -> Result<Vec<u8>, Problem> {
+pub(crate) fn whole<R: WireReal>(world: &World<R>, id: ParticleId, encoding: Encoding) -> Result<Content, Problem> {
     let state = world.particle(id).map_err(|error| Problem::from_engine(error, Shape::Particle))?;
-    Ok(json::write(&ParticleView::whole(&state)))
+    Ok(Content::of(encoding, &ParticleView::whole(&state)))
 }
 
 /// Applies a command to many particles; the answer counts them.
-pub(crate) fn apply_to_many<R: WireReal>(world: &mut World<R>, command: &Command<R>) -> Result<Reply, Problem> {
+pub(crate) fn apply_to_many<R: WireReal>(
+    world: &mut World<R>,
+    command: &Command<R>,
+    encoding: Encoding,
+) -> Result<Reply, Problem> {
     let outcome = world.apply(command).map_err(|error| Problem::from_engine(error, Shape::Columns))?;
     let Outcome::Changed { count } = outcome else { unreachable!("properties and forces answer with a count") };
-    Ok(Reply::ok(json::write(&Changed { count, revision: world.revision() })))
+    Ok(Reply::ok(encoding, &Changed { count, revision: world.revision() }))
 }

@@ -14,6 +14,9 @@ use crate::command::{Command, NewParticles, Outcome, Properties};
 use crate::error::{Error, Limit};
 use crate::ids::ParticleId;
 use crate::server::App;
+use crate::server::columns::Columns;
+use crate::server::content::{Composer, Content};
+use crate::server::encoding::Encoding;
 use crate::server::extract::{Change, NoParameters, Read, page_limit};
 use crate::server::json::{self, Element, Object, Vector, WireReal, present};
 use crate::server::memory::{PARTICLE_BYTES, objects};
@@ -125,7 +128,7 @@ struct StateQuery {
     responses((status = 201, body = CreateAnswer, headers(("location" = String), ("etag" = String)))))]
 async fn create_particles(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
     let any = app.slot(&change.target)?;
-    let name = change.target.world.clone();
+    let (name, encoding) = (change.target.world.clone(), change.encoding);
     with_slot!(any, slot => {
         let most = app.config.particles_max;
         let parsed = app.shared.parse(change.body.clone(), move |body| read_new(body, most)).await;
@@ -140,9 +143,9 @@ async fn create_particles(State(app): State<Arc<App>>, change: Change) -> Result
             };
             if new.shape == Shape::Particle {
                 let location = format!("/v1/worlds/{name}/particles/{first}");
-                Ok(Reply::created(Some(location), whole(world, first)?))
+                Ok(Reply::of(whole(world, first, encoding)?).created(Some(location)))
             } else {
-                Ok(Reply::created(None, json::write(&Created { first_id: first.0, count })))
+                Ok(Reply::ok(encoding, &Created { first_id: first.0, count }).created(None))
             }
         }).await
     })
@@ -191,10 +194,11 @@ pub(crate) fn read_new<R: WireReal>(body: &[u8], most: u64) -> Result<New<R>, Pr
 async fn list_particles(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
     let any = app.slot(&read.target)?;
     let query = read.query::<ListQuery>().and_then(List::try_from);
+    let encoding = read.encoding;
     let cost = |list: &List, count: usize| Cost::of_reading(list.numbers() * list.limit.min(count) as u64);
     with_slot!(any, slot => slot.read(&read, query,
         |world, list| cost(list, world.particle_count()),
-        |world, list, _| list.of(world)).await)
+        move |world, list, _| list.of(world, encoding)).await)
 }
 
 struct List {
@@ -231,7 +235,7 @@ impl List {
         self.properties.as_ref().map_or(30, |properties| 2 + 4 * properties.len() as u64)
     }
 
-    fn of<R: WireReal>(self, world: &World<R>) -> Result<Vec<u8>, Problem> {
+    fn of<R: WireReal>(self, world: &World<R>, encoding: Encoding) -> Result<Content, Problem> {
         let first = match self.after {
             None => Some(0),
             Some(after) => after.checked_add(1),
@@ -264,7 +268,7 @@ impl List {
         }
         let next_after = particles.last().filter(|_| more).map(|(_, id)| *id);
         let particles = particles.into_iter().map(|(view, _)| view).collect();
-        Ok(json::write(&Particles { time: world.time(), particles, next_after }))
+        Ok(Content::of(encoding, &Particles { time: world.time(), particles, next_after }))
     }
 }
 
@@ -280,7 +284,8 @@ async fn set_particles(State(app): State<Arc<App>>, change: Change) -> Result<Re
     let any = app.slot(&change.target)?;
     with_slot!(any, slot => {
         let parsed = app.shared.parse(change.body.clone(), read).await;
-        change.apply(&slot, parsed, many, |world, command, _| apply_to_many(world, &command)).await
+        let encoding = change.encoding;
+        change.apply(&slot, parsed, many, move |world, command, _| apply_to_many(world, &command, encoding)).await
     })
 }
 
@@ -290,8 +295,9 @@ async fn set_particles(State(app): State<Arc<App>>, change: Change) -> Result<Re
 async fn read_particle(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
     let any = app.slot(&read.target)?;
     let query = read.query::<NoParameters>().and_then(|_| read.target.particle());
-    with_slot!(any, slot => slot.read(&read, query, |_, _| Cost::default(), |world, id, _| {
-        whole(world, id)
+    let encoding = read.encoding;
+    with_slot!(any, slot => slot.read(&read, query, |_, _| Cost::default(), move |world, id, _| {
+        whole(world, id, encoding)
     }).await)
 }
 
@@ -357,14 +363,19 @@ async fn place_particle(State(app): State<Arc<App>>, change: Change) -> Result<R
 /// Reads all particles as columns
 #[utoipa::path(get, path = "/v1/worlds/{world}/state", tag = "particles",
     params(("fields" = Option<String>, Query, description = "which columns besides the id; default position,velocity", example = "position,velocity")),
-    responses((status = 200, body = wire::State<f64>, headers(("etag" = String)))))]
+    responses((status = 200, body = wire::State, headers(("etag" = String)))))]
 async fn read_state(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
     let any = app.slot(&read.target)?;
     let query = read.query::<StateQuery>().and_then(|query| match query.fields {
         None => Ok(vec![Property::Position, Property::Velocity]),
         Some(fields) => properties(&fields),
     });
+    let encoding = read.encoding;
     with_slot!(any, slot => slot.read(&read, query,
-        |world, properties| Cost::of_reading(((1 + 3 * properties.len()) * world.particle_count()) as u64),
-        |world, properties, _| Ok(json::write(&wire::State::of(world, &properties)))).await)
+        |world, properties| Cost::of_columns(world, world.particle_count(), properties),
+        move |world, properties, _| {
+            let mut composer = Composer::new(encoding);
+            composer.columns(world, Columns::of(world, &properties), &app.shared);
+            Ok(composer.content())
+        }).await)
 }

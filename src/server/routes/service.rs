@@ -16,8 +16,8 @@ use crate::integrator::{DampingLaw, Integrator};
 use crate::real::Precision;
 use crate::server::App;
 use crate::server::config::PAGE_MAX;
+use crate::server::encoding::Encoding;
 use crate::server::extract::{NoParameters, Read, no_parameters};
-use crate::server::json;
 use crate::server::metrics;
 use crate::server::problem::{Code, Problem};
 use crate::server::reply::Reply;
@@ -142,14 +142,14 @@ async fn describe_service(State(app): State<Arc<App>>, read: Read) -> Result<Res
         },
         features,
     };
-    Ok(Reply::ok(json::write(&service)).into_response())
+    Ok(Reply::ok(read.encoding, &service).into_response())
 }
 
 /// Whether the process is alive
 #[utoipa::path(get, path = "/healthz", tag = "service", responses((status = 200, body = Health)))]
 async fn healthz(uri: Uri) -> Result<Response, Problem> {
     no_parameters(&uri)?;
-    Ok(Reply::ok(json::write(&Health { status: "ok" })).into_response())
+    Ok(Reply::ok(Encoding::Json, &Health { status: "ok" }).into_response())
 }
 
 /// Whether it takes on work
@@ -160,7 +160,7 @@ async fn readyz(State(app): State<Arc<App>>, uri: Uri) -> Result<Response, Probl
         return Err(Problem::plain(Code::ShuttingDown));
     }
     app.shared.check_capacity()?;
-    Ok(Reply::ok(json::write(&Health { status: "ready" })).into_response())
+    Ok(Reply::ok(Encoding::Json, &Health { status: "ready" }).into_response())
 }
 
 /// Counters as `OpenMetrics` text

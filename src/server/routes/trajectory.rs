@@ -11,8 +11,9 @@ use utoipa_axum::{router::OpenApiRouter, routes};
 use crate::command::Advance;
 use crate::ids::ParticleId;
 use crate::server::App;
+use crate::server::content::Content;
 use crate::server::extract::Read;
-use crate::server::json::{self, WireReal};
+use crate::server::json::WireReal;
 use crate::server::memory::PARTICLE_BYTES;
 use crate::server::problem::{Code, Problem, Shape};
 use crate::server::routes::advance::{bytes_of_copies, check_duration};
@@ -78,12 +79,13 @@ async fn read_trajectory(State(app): State<Arc<App>>, read: Read) -> Result<Resp
         check_duration(query.duration, &app.config, "").map_err(Problem::without_pointer)?;
         query.of(particle)
     });
-    with_slot!(any, slot => slot.read(&read, query, cost, |world, way, cancelled| {
+    let encoding = read.encoding;
+    with_slot!(any, slot => slot.read(&read, query, cost, move |world, way, cancelled| {
         let Way { particle, duration, samples } = way;
         let Trajectory { time, position, velocity } = world
             .trajectory_unless(particle, duration, samples, cancelled)
             .map_err(|error| Problem::from_engine(error, Shape::Particle).without_pointer())?;
-        Ok(json::write(&TrajectoryBody { particle: particle.0, time, position, velocity }))
+        Ok(Content::of(encoding, &TrajectoryBody { particle: particle.0, time, position, velocity }))
     }).await)
 }
 

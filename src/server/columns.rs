@@ -1,0 +1,184 @@
+//! Columns of particles, written a piece at a time: of a million as much is in memory as of a thousand.
+
+use std::sync::Arc;
+
+use crate::ids::ParticleId;
+use crate::server::encoding::{Encoding, Writer};
+use crate::server::json::WireReal;
+use crate::server::wire::{Property, pair};
+use crate::world::{Block, ParticleState, World};
+
+/// Particles that are evaluated together.
+const BLOCK: usize = 1024;
+
+/// Bytes from which on a piece is sent: sockets take as much at once, and it stays in the cache.
+pub(crate) const PIECE_BYTES: usize = 192 << 10;
+
+/// The state of some particles as columns: a map with `time`, `count`, `id`, and those that were asked for.
+#[derive(Debug, Clone)]
+pub(crate) struct Columns<R: WireReal> {
+    /// `None`: all, in ascending order.
+    ids: Option<Arc<[ParticleId]>>,
+    count: usize,
+    properties: Vec<Property>,
+    /// Which column comes next; the ids before all others. `None`: the head of the map.
+    column: Option<usize>,
+    /// How many of its values are written.
+    done: usize,
+    next: ParticleId,
+    /// The particles from which on it is, and they.
+    block: Option<(usize, Block<R>)>,
+}
+
+impl<R: WireReal> Columns<R> {
+    /// Of all particles.
+    pub(crate) fn of(world: &World<R>, properties: &[Property]) -> Self {
+        Self::new(None, world.particle_count(), properties)
+    }
+
+    /// Of these, in this order; all of them are there.
+    pub(crate) fn of_ids(ids: &[u64], properties: &[Property]) -> Self {
+        Self::new(Some(ids.iter().copied().map(ParticleId).collect()), ids.len(), properties)
+    }
+
+    fn new(ids: Option<Arc<[ParticleId]>>, count: usize, properties: &[Property]) -> Self {
+        let mut properties = properties.to_vec();
+        properties.sort_unstable();
+        properties.dedup();
+        Self { ids, count, properties, column: None, done: 0, next: ParticleId(0), block: None }
+    }
+
+    /// Numbers to write.
+    pub(crate) fn numbers(&self) -> u64 {
+        numbers(self.count as u64, &self.properties)
+    }
+
+    /// Writes on, from the same world as before, until there are so many bytes; whether there is more.
+    pub(crate) fn write(&mut self, world: &World<R>, bytes: usize, writer: &mut Writer) -> bool {
+        let mut column = self.column.take().unwrap_or_else(|| {
+            writer.begin_map(3 + self.properties.len());
+            writer.key("time");
+            writer.value(&world.time());
+            writer.key("count");
+            writer.value(&self.count);
+            0
+        });
+        while column <= self.properties.len() {
+            let property = column.checked_sub(1).map(|index| self.properties[index]);
+            if self.done == 0 {
+                begin::<R>(property, self.count, writer);
+            }
+            while self.done < self.count {
+                if writer.bytes.len() >= bytes {
+                    self.column = Some(column);
+                    return true;
+                }
+                let mut block = self.block(world);
+                write_values(property, &mut block, world, writer);
+                self.next = block.ids().next_back().map_or(self.next, |last| ParticleId(last.0 + 1));
+                let from = self.done;
+                self.done += block.len();
+                self.block = Some((from, block));
+            }
+            if is_list(property, writer.encoding) {
+                writer.end_list();
+            }
+            (self.done, self.next) = (0, ParticleId(0));
+            column += 1;
+        }
+        writer.end_map();
+        false
+    }
+
+    /// The particles whose values come next: those of the column before, where all of them are one block.
+    fn block(&mut self, world: &World<R>) -> Block<R> {
+        let last = match self.block.take() {
+            Some((from, block)) if from == self.done => return block,
+            last => last.map(|(_, block)| block),
+        };
+        let block = match &self.ids {
+            None => Block::from(world, self.next, BLOCK),
+            Some(ids) => {
+                let some = &ids[self.done..ids.len().min(self.done + BLOCK)];
+                Block::of(world, some).expect("they were there when the columns were made, of the same world")
+            }
+        };
+        match last {
+            Some(last) => block.reusing(last),
+            None => block,
+        }
+    }
+}
+
+/// Numbers in so many rows of some columns.
+pub(crate) fn numbers(count: u64, properties: &[Property]) -> u64 {
+    count.saturating_mul(1 + 3 * properties.len() as u64)
+}
+
+/// Whether a column is a list of values, and not the bytes of all of them.
+fn is_list(property: Option<Property>, encoding: Encoding) -> bool {
+    let has_null = matches!(
+        property,
+        Some(Property::OwnAcceleration | Property::Mass | Property::Drag | Property::GravitationalMass)
+    );
+    encoding == Encoding::Json || has_null
+}
+
+fn begin<R: WireReal>(property: Option<Property>, count: usize, writer: &mut Writer) {
+    writer.key(property.map_or("id", crate::server::json::Choice::name));
+    if is_list(property, writer.encoding) {
+        return writer.begin_list(count);
+    }
+    let count = count as u64;
+    match property {
+        None => writer.begin_typed(UINT64_LE, 8 * count),
+        Some(Property::Damping | Property::InverseMass) => writer.begin_typed(R::TYPED_ARRAY, R::BYTES * count),
+        Some(_) => writer.begin_typed(R::TYPED_ARRAY, 3 * R::BYTES * count),
+    }
+}
+
+/// The tag of an array of unsigned integers of 64 bits, little-endian (RFC 8746).
+const UINT64_LE: u64 = 71;
+
+fn write_values<R: WireReal>(property: Option<Property>, block: &mut Block<R>, world: &World<R>, writer: &mut Writer) {
+    let each = |value: fn(ParticleState<R>) -> R| block.properties(world).map(value);
+    match property {
+        None if writer.encoding == Encoding::Json => writer.members(block.ids().map(|id| id.0)),
+        None => block.ids().for_each(|id| writer.bytes.extend_from_slice(&id.0.to_le_bytes())),
+        Some(Property::Position) => write_vectors(block.motion(world).0, writer),
+        Some(Property::Velocity) => write_vectors(block.motion(world).1, writer),
+        Some(Property::Acceleration) => {
+            let vectors: Vec<[R; 3]> = block.properties(world).map(|state| state.acceleration.into()).collect();
+            write_vectors(&vectors, writer);
+        }
+        Some(Property::Force) => {
+            let vectors: Vec<[R; 3]> = block.properties(world).map(|state| state.force.into()).collect();
+            write_vectors(&vectors, writer);
+        }
+        Some(Property::Damping) => write_numbers(each(|state| state.damping), writer),
+        Some(Property::InverseMass) => write_numbers(each(|state| state.inverse_mass), writer),
+        Some(Property::OwnAcceleration) => {
+            let own = |state: ParticleState<R>| state.own_acceleration.map(Into::<[R; 3]>::into);
+            writer.members(block.properties(world).map(own));
+        }
+        Some(Property::Mass) => writer.members(block.properties(world).map(|state| state.mass())),
+        Some(Property::Drag) => writer.members(block.properties(world).map(|state| state.drag.map(pair))),
+        Some(Property::GravitationalMass) => {
+            writer.members(block.properties(world).map(|state| state.gravitational_mass));
+        }
+    }
+}
+
+fn write_vectors<R: WireReal>(vectors: &[[R; 3]], writer: &mut Writer) {
+    match writer.encoding {
+        Encoding::Json => writer.members(vectors.iter()),
+        Encoding::Cbor => R::write_le(vectors.as_flattened(), &mut writer.bytes),
+    }
+}
+
+fn write_numbers<R: WireReal>(numbers: impl ExactSizeIterator<Item = R>, writer: &mut Writer) {
+    match writer.encoding {
+        Encoding::Json => writer.members(numbers),
+        Encoding::Cbor => R::write_le(&numbers.collect::<Vec<R>>(), &mut writer.bytes),
+    }
+}

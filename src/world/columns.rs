@@ -1,0 +1,92 @@
+//! Particles as they are now, a block at a time, for who writes them somewhere.
+
+use std::ops::Range;
+
+use crate::ids::ParticleId;
+use crate::particles::zero;
+use crate::real::Real;
+use crate::world::motion::{Carrier, Rows, Span};
+use crate::world::{ParticleState, States, World};
+
+/// Some particles of a world, and room for where they are.
+#[derive(Debug, Clone)]
+pub(crate) struct Block<R: Real> {
+    listed: Listed,
+    room: States<R>,
+    /// Whether the room has where these particles are.
+    is_carried: bool,
+}
+
+#[derive(Debug, Clone)]
+enum Listed {
+    /// Where ids are rows.
+    Range(Range<usize>),
+    List(Vec<ParticleId>, Vec<usize>),
+}
+
+impl<R: Real> Block<R> {
+    /// Up to `limit` particles in ascending order of id, from the first id that is at least `first`.
+    pub(crate) fn from(world: &World<R>, first: ParticleId, limit: usize) -> Self {
+        let listed = world.ids.rows_from(first, limit).map_or_else(
+            || {
+                let (ids, rows) = world.ids.from(first.0).take(limit).unzip();
+                Listed::List(ids, rows)
+            },
+            Listed::Range,
+        );
+        Self { listed, room: States::default(), is_carried: false }
+    }
+
+    /// These particles; `None` when one of them is not there.
+    pub(crate) fn of(world: &World<R>, ids: &[ParticleId]) -> Option<Self> {
+        let rows = ids.iter().map(|id| world.ids.row(*id)).collect::<Option<_>>()?;
+        Some(Self { listed: Listed::List(ids.to_vec(), rows), room: States::default(), is_carried: false })
+    }
+
+    /// The room of another, for this one.
+    pub(crate) fn reusing(self, other: Self) -> Self {
+        Self { room: other.room, ..self }
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.rows().len()
+    }
+
+    pub(crate) fn ids(&self) -> impl ExactSizeIterator<Item = ParticleId> + DoubleEndedIterator {
+        (0..self.len()).map(|index| match &self.listed {
+            Listed::Range(range) => ParticleId((range.start + index) as u64),
+            Listed::List(ids, _) => ids[index],
+        })
+    }
+
+    /// Positions and velocities at the clock of the world: those of its columns, where they hold now.
+    pub(crate) fn motion<'a>(&'a mut self, world: &'a World<R>) -> (&'a [[R; 3]], &'a [[R; 3]]) {
+        let particles = &world.particles;
+        if !self.is_carried {
+            let mut carrier = Carrier::new(world, Span::To(world.clock), false, self.len());
+            if let (Listed::Range(range), true) = (&self.listed, carrier.is_still()) {
+                return (&particles.position[range.clone()], &particles.velocity[range.clone()]);
+            }
+            let mut room = std::mem::take(&mut self.room);
+            room.clear();
+            self.rows().blocks().for_each(|rows| world.read_block(&mut carrier, &rows, &mut room));
+            (self.room, self.is_carried) = (room, true);
+        }
+        (&self.room.position, &self.room.velocity)
+    }
+
+    /// Everything but where they are and how fast.
+    pub(crate) fn properties<'a>(&'a self, world: &'a World<R>) -> impl ExactSizeIterator<Item = ParticleState<R>> {
+        (0..self.len()).map(|index| {
+            let row = self.rows().row(index);
+            world.state(world.ids.id(row), row, zero(), zero())
+        })
+    }
+
+    fn rows(&self) -> Rows<'_> {
+        match &self.listed {
+            Listed::Range(range) => Rows::Range(range.clone()),
+            Listed::List(_, rows) => Rows::List(rows),
+        }
+    }
+}
