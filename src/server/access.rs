@@ -44,7 +44,9 @@ pub(crate) fn admit(app: &App, request: &Request, route: Option<&str>) -> Result
     // What explains a refusal is no secret either.
     let open = health || route == Some("/problems/{code}");
     match &app.tokens {
-        Some(tokens) if !open => tokens.read().unwrap_or_else(PoisonError::into_inner).admit(request),
+        Some(tokens) if !open => {
+            tokens.read().unwrap_or_else(PoisonError::into_inner).admit(headers, !request.method().is_safe())
+        }
         Some(_) | None => Ok(()),
     }
 }
@@ -226,9 +228,9 @@ impl Tokens {
         self.full.is_empty() && self.read_only.is_empty()
     }
 
-    /// Whether the request carries one of them that is good for it. Takes the same time for every wrong token.
-    fn admit(&self, request: &Request) -> Result<(), Problem> {
-        let given = request.headers().get(header::AUTHORIZATION).and_then(|value| value.to_str().ok());
+    /// Whether a request carries one of them that is good for it. Takes the same time for every wrong token.
+    fn admit(&self, headers: &HeaderMap, changes: bool) -> Result<(), Problem> {
+        let given = headers.get(header::AUTHORIZATION).and_then(|value| value.to_str().ok());
         let bearer = given.and_then(|value| value.split_once(' '));
         let Some((_, token)) = bearer.filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer")) else {
             return Err(Problem::plain(Code::Unauthorized));
@@ -240,13 +242,20 @@ impl Tokens {
         match (is_among(&self.full), is_among(&self.read_only)) {
             (false, false) => Err(Problem::plain(Code::Unauthorized)),
             // Also of one that is listed as both.
-            (_, true) if !request.method().is_safe() => Err(Problem::plain(Code::ReadOnlyToken)),
+            (_, true) if changes => Err(Problem::plain(Code::ReadOnlyToken)),
             _ => Ok(()),
         }
     }
 }
 
 impl App {
+    /// Whether who sent these headers may change worlds, also by what follows a request that only reads.
+    pub(crate) fn may_change(&self, headers: &HeaderMap) -> bool {
+        self.tokens
+            .as_ref()
+            .is_none_or(|tokens| tokens.read().unwrap_or_else(PoisonError::into_inner).admit(headers, true).is_ok())
+    }
+
     /// Reads the token file again: its old tokens are good no more, its new ones are. When it cannot be read or has no
     /// token, all stay as they are, and the log says why.
     pub fn reload_tokens(&self) {

@@ -21,6 +21,8 @@ pub(crate) struct Columns<R: WireReal> {
     ids: Option<Arc<[ParticleId]>>,
     count: usize,
     properties: Vec<Property>,
+    /// Said besides, where only what changed was asked for.
+    changed: Option<Changed>,
     /// Which column comes next; the ids before all others. `None`: the head of the map.
     column: Option<usize>,
     /// How many of its values are written.
@@ -30,22 +32,44 @@ pub(crate) struct Columns<R: WireReal> {
     block: Option<(usize, Block<R>)>,
 }
 
+/// What columns of changes say besides.
+#[derive(Debug, Clone)]
+pub(crate) struct Changed {
+    /// Of the world that is told.
+    pub(crate) revision: u64,
+    /// Whether everything is told, since what changed is not known.
+    pub(crate) is_full: bool,
+    /// In ascending order.
+    pub(crate) removed: Vec<ParticleId>,
+}
+
 impl<R: WireReal> Columns<R> {
     /// Of all particles.
     pub(crate) fn of(world: &World<R>, properties: &[Property]) -> Self {
-        Self::new(None, world.particle_count(), properties)
+        Self::new(None, world.particle_count(), properties, None)
     }
 
     /// Of these, in this order; all of them are there.
     pub(crate) fn of_ids(ids: &[u64], properties: &[Property]) -> Self {
-        Self::new(Some(ids.iter().copied().map(ParticleId).collect()), ids.len(), properties)
+        Self::new(Some(ids.iter().copied().map(ParticleId).collect()), ids.len(), properties, None)
     }
 
-    fn new(ids: Option<Arc<[ParticleId]>>, count: usize, properties: &[Property]) -> Self {
+    /// Of those that changed; `None`: of all.
+    pub(crate) fn of_changes(
+        world: &World<R>,
+        ids: Option<Arc<[ParticleId]>>,
+        changed: Changed,
+        properties: &[Property],
+    ) -> Self {
+        let count = ids.as_ref().map_or(world.particle_count(), |ids| ids.len());
+        Self::new(ids, count, properties, Some(changed))
+    }
+
+    fn new(ids: Option<Arc<[ParticleId]>>, count: usize, properties: &[Property], changed: Option<Changed>) -> Self {
         let mut properties = properties.to_vec();
         properties.sort_unstable();
         properties.dedup();
-        Self { ids, count, properties, column: None, done: 0, next: ParticleId(0), block: None }
+        Self { ids, count, properties, changed, column: None, done: 0, next: ParticleId(0), block: None }
     }
 
     /// Numbers to write.
@@ -56,11 +80,7 @@ impl<R: WireReal> Columns<R> {
     /// Writes on, from the same world as before, until there are so many bytes; whether there is more.
     pub(crate) fn write(&mut self, world: &World<R>, bytes: usize, writer: &mut Writer) -> bool {
         let mut column = self.column.take().unwrap_or_else(|| {
-            writer.begin_map(3 + self.properties.len());
-            writer.key("time");
-            writer.value(&world.time());
-            writer.key("count");
-            writer.value(&self.count);
+            self.write_head(world, writer);
             0
         });
         while column <= self.properties.len() {
@@ -69,16 +89,16 @@ impl<R: WireReal> Columns<R> {
                 begin::<R>(property, self.count, writer);
             }
             while self.done < self.count {
-                if writer.bytes.len() >= bytes {
-                    self.column = Some(column);
-                    return true;
-                }
                 let mut block = self.block(world);
                 write_values(property, &mut block, world, writer);
                 self.next = block.ids().next_back().map_or(self.next, |last| ParticleId(last.0 + 1));
                 let from = self.done;
                 self.done += block.len();
                 self.block = Some((from, block));
+                if writer.bytes.len() >= bytes && self.done < self.count {
+                    self.column = Some(column);
+                    return true;
+                }
             }
             if is_list(property, writer.encoding) {
                 writer.end_list();
@@ -88,6 +108,25 @@ impl<R: WireReal> Columns<R> {
         }
         writer.end_map();
         false
+    }
+
+    fn write_head(&self, world: &World<R>, writer: &mut Writer) {
+        let more = self.changed.as_ref().map_or(0, |changed| 2 + usize::from(changed.is_full));
+        writer.begin_map(3 + self.properties.len() + more);
+        writer.key("time");
+        writer.value(&world.time());
+        if let Some(Changed { revision, is_full, removed }) = &self.changed {
+            writer.key("revision");
+            writer.value(revision);
+            if *is_full {
+                writer.key("full");
+                writer.value(&true);
+            }
+            writer.key("removed");
+            writer.value(&removed.iter().map(|id| id.0).collect::<Vec<_>>());
+        }
+        writer.key("count");
+        writer.value(&self.count);
     }
 
     /// The particles whose values come next: those of the column before, where all of them are one block.

@@ -1,6 +1,8 @@
 //! What an answer says: text that is there already, and columns that are written as they are sent.
 
 use std::collections::VecDeque;
+use std::convert::Infallible;
+use std::io;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
@@ -10,6 +12,7 @@ use hyper::body::{Frame, SizeHint};
 use serde::Serialize;
 use tokio::sync::mpsc;
 
+use crate::server::coding::{Coding, Packer};
 use crate::server::columns::{Columns, PIECE_BYTES};
 use crate::server::encoding::{Encoding, Writer};
 use crate::server::json::WireReal;
@@ -22,6 +25,10 @@ use crate::world::World;
 pub(crate) struct Content {
     pub(crate) encoding: Encoding,
     parts: VecDeque<Part>,
+    /// Packed so.
+    pub(crate) coding: Option<Coding>,
+    /// Whose compute pool writes what is written as it is sent.
+    shared: Option<Arc<Shared>>,
 }
 
 #[derive(Debug, Clone)]
@@ -35,7 +42,6 @@ enum Part {
 struct Later {
     columns: AnyColumns,
     writer: Writer,
-    shared: Arc<Shared>,
     /// Lives as long as the world as it was.
     charge: Option<Arc<Charge>>,
 }
@@ -48,7 +54,7 @@ pub(crate) enum AnyColumns {
 
 impl Content {
     pub(crate) fn empty() -> Self {
-        Self { encoding: Encoding::Json, parts: VecDeque::new() }
+        Self { encoding: Encoding::Json, parts: VecDeque::new(), coding: None, shared: None }
     }
 
     /// One value.
@@ -72,7 +78,7 @@ impl Content {
                 Part::Columns(mut later) => _ = later.write_on(usize::MAX, &mut whole),
             }
         }
-        Self { parts: [Part::Text(whole.into())].into(), ..self }
+        Self { parts: [Part::Text(whole.into())].into(), shared: None, ..self }
     }
 
     /// Gives the charge back when the last byte is on its way.
@@ -93,31 +99,82 @@ impl Content {
         self
     }
 
+    /// Packed, if it is text of a size that is worth it.
+    pub(crate) fn coded(mut self, coding: Option<Coding>, shared: &Arc<Shared>) -> Self {
+        let is_large = self.len() >= PACKED_BYTES_MIN || self.shared.is_some();
+        if self.encoding == Encoding::Json && is_large && coding.is_some() {
+            self.coding = coding;
+            self.shared = Some(Arc::clone(shared));
+        }
+        self
+    }
+
+    /// With a text behind it.
+    pub(crate) fn followed_by(mut self, text: &'static str) -> Self {
+        self.parts.push_back(Part::Text(Bytes::from_static(text.as_bytes())));
+        self
+    }
+
+    /// All of it, written in the compute pool where that takes a while.
+    pub(crate) async fn into_bytes(mut self) -> Option<Bytes> {
+        if let (None, [Part::Text(text)]) = (&self.shared, self.parts.make_contiguous()) {
+            return Some(std::mem::take(text));
+        }
+        let (sender, mut receiver) = mpsc::channel(1);
+        let (is_sent, whole) = tokio::join!(async move { self.send(&sender).await }, async {
+            let mut whole = Vec::new();
+            while let Some(piece) = receiver.recv().await {
+                whole.extend_from_slice(&piece.ok()?);
+            }
+            Some(whole.into())
+        });
+        whole.filter(|_| is_sent)
+    }
+
+    /// Sends it, a piece being written while the one before is taken; whether somebody took all of it.
+    pub(crate) async fn send(self, sender: &mpsc::Sender<io::Result<Bytes>>) -> bool {
+        let Some(shared) = self.shared else {
+            for part in self.parts {
+                if let Part::Text(text) = part
+                    && sender.send(Ok(text)).await.is_err()
+                {
+                    return false;
+                }
+            }
+            return true;
+        };
+        let making = Making { parts: self.parts, packer: self.coding.map(Packer::new), is_over: false };
+        making.send(&shared, sender).await
+    }
+
     pub(crate) fn into_body(mut self) -> Body {
+        if self.shared.is_some() {
+            let (sender, receiver) = mpsc::channel(1);
+            tokio::spawn(async move { self.send(&sender).await });
+            return Body::new(Pieces(receiver));
+        }
         match self.parts.make_contiguous() {
             [] => Body::empty(),
             [Part::Text(text)] => Body::from(std::mem::take(text)),
-            parts if parts.iter().all(|part| matches!(part, Part::Text(_))) => Body::new(Texts(self.parts)),
-            _ => {
-                // One piece is sent while the next is written.
-                let (sender, receiver) = mpsc::channel(1);
-                tokio::spawn(send(self.parts, sender));
-                Body::new(Pieces(receiver))
-            }
+            _ => Body::new(Texts(self.parts)),
         }
     }
 }
+
+/// Smaller answers are sent as fast as they are packed.
+const PACKED_BYTES_MIN: usize = 16 << 10;
 
 /// Makes a [`Content`]: what is written to its writer, and columns.
 #[derive(Debug)]
 pub(crate) struct Composer {
     pub(crate) writer: Writer,
     parts: VecDeque<Part>,
+    shared: Option<Arc<Shared>>,
 }
 
 impl From<Writer> for Composer {
     fn from(writer: Writer) -> Self {
-        Self { writer, parts: VecDeque::new() }
+        Self { writer, parts: VecDeque::new(), shared: None }
     }
 }
 
@@ -133,12 +190,9 @@ impl Composer {
             return;
         }
         self.flush();
-        let later = Later {
-            columns: R::any_columns(world.clone(), columns),
-            writer: self.writer.clone(),
-            shared: Arc::clone(shared),
-            charge: None,
-        };
+        let later =
+            Later { columns: R::any_columns(world.clone(), columns), writer: self.writer.clone(), charge: None };
+        self.shared = Some(Arc::clone(shared));
         self.parts.push_back(Part::Columns(Box::new(later)));
     }
 
@@ -146,6 +200,7 @@ impl Composer {
     pub(crate) fn append(&mut self, content: Content) {
         self.flush();
         self.parts.extend(content.parts);
+        self.shared = self.shared.take().or(content.shared);
         if let (Encoding::Json, Some(Part::Text(text))) = (self.writer.encoding, self.parts.back_mut())
             && text.ends_with(b"\n")
         {
@@ -159,7 +214,7 @@ impl Composer {
             self.writer.bytes.push(b'\n');
         }
         self.flush();
-        Content { encoding: self.writer.encoding, parts: self.parts }
+        Content { encoding: self.writer.encoding, parts: self.parts, coding: None, shared: self.shared }
     }
 
     fn flush(&mut self) {
@@ -185,44 +240,72 @@ impl Later {
         into.append(&mut writer.bytes);
         more
     }
-
-    /// The next piece, written in the compute pool.
-    async fn piece(mut self: Box<Self>) -> Option<(Box<Self>, Bytes, bool)> {
-        let place = self.shared.short_places.wait().await;
-        let written = tokio::task::spawn_blocking(move || {
-            let mut piece = Vec::with_capacity(PIECE_BYTES + (64 << 10));
-            let more = self.write_on(PIECE_BYTES, &mut piece);
-            drop(place);
-            (self, piece.into(), more)
-        });
-        written.await.ok()
-    }
 }
 
-/// Sends one part after the other, for as long as somebody takes them.
-async fn send(parts: VecDeque<Part>, sender: mpsc::Sender<Option<Bytes>>) {
-    for part in parts {
-        match part {
-            Part::Text(text) => {
-                if sender.send(Some(text)).await.is_err() {
-                    return;
-                }
-            }
-            Part::Columns(mut later) => loop {
-                let Some((again, piece, more)) = later.piece().await else {
-                    // A defect: what was sent so far must not look like the whole.
-                    let _gone = sender.send(None).await;
-                    return;
-                };
-                if sender.send(Some(piece)).await.is_err() {
-                    return;
-                }
-                if !more {
-                    break;
-                }
-                later = again;
-            },
+/// An answer that is made as it is sent.
+struct Making {
+    parts: VecDeque<Part>,
+    packer: Option<Packer>,
+    is_over: bool,
+}
+
+impl Making {
+    /// The next piece; empty after the last one.
+    fn piece(&mut self) -> io::Result<Bytes> {
+        let mut piece = Vec::new();
+        while piece.is_empty() && !self.is_over {
+            let plain = self.plain();
+            self.is_over = plain.is_empty();
+            piece = match self.packer.take() {
+                None => plain,
+                Some(packer) if self.is_over => packer.finish()?,
+                Some(packer) => self.packer.insert(packer).pack(&plain)?,
+            };
         }
+        Ok(piece.into())
+    }
+
+    /// Makes all pieces in the compute pool, for as long as somebody takes them.
+    async fn send(mut self, shared: &Arc<Shared>, sender: &mpsc::Sender<io::Result<Bytes>>) -> bool {
+        loop {
+            let place = shared.short_places.wait().await;
+            let made = tokio::task::spawn_blocking(move || {
+                let piece = self.piece();
+                drop(place);
+                (self, piece)
+            });
+            let Ok((making, piece)) = made.await else {
+                // What was sent so far must not look like the whole.
+                let _gone = sender.send(Err(io::Error::other("a defect interrupted the answer"))).await;
+                return false;
+            };
+            let (is_over, is_broken) = (piece.as_ref().is_ok_and(Bytes::is_empty), piece.is_err());
+            if is_over || sender.send(piece).await.is_err() || is_broken {
+                return is_over;
+            }
+            self = making;
+        }
+    }
+
+    /// The next piece of what is not packed yet.
+    fn plain(&mut self) -> Vec<u8> {
+        let mut piece = Vec::with_capacity(PIECE_BYTES + PIECE_BYTES / 4);
+        while piece.len() < PIECE_BYTES
+            && let Some(part) = self.parts.front_mut()
+        {
+            let more = match part {
+                Part::Text(text) => {
+                    let some = text.split_to(text.len().min(PIECE_BYTES));
+                    piece.extend_from_slice(&some);
+                    !text.is_empty()
+                }
+                Part::Columns(later) => later.write_on(PIECE_BYTES, &mut piece),
+            };
+            if !more {
+                self.parts.pop_front();
+            }
+        }
+        piece
     }
 }
 
@@ -232,13 +315,13 @@ struct Texts(VecDeque<Part>);
 
 impl hyper::body::Body for Texts {
     type Data = Bytes;
-    type Error = axum::Error;
+    type Error = Infallible;
 
-    fn poll_frame(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+    fn poll_frame(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
         let part = self.get_mut().0.pop_front();
         Poll::Ready(part.map(|part| match part {
             Part::Text(text) => Ok(Frame::data(text)),
-            Part::Columns(_) => unreachable!("all parts are texts"),
+            Part::Columns(_) => unreachable!("columns are sent as pieces"),
         }))
     }
 
@@ -252,20 +335,15 @@ impl hyper::body::Body for Texts {
     }
 }
 
-/// Parts that are made while others are sent; `None` is a defect.
+/// Pieces that are made while others are sent.
 #[derive(Debug)]
-struct Pieces(mpsc::Receiver<Option<Bytes>>);
+pub(crate) struct Pieces(pub(crate) mpsc::Receiver<io::Result<Bytes>>);
 
 impl hyper::body::Body for Pieces {
     type Data = Bytes;
-    type Error = axum::Error;
+    type Error = io::Error;
 
-    fn poll_frame(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
-        self.0.poll_recv(context).map(|piece| {
-            piece.map(|piece| piece.map(Frame::data).ok_or_else(|| axum::Error::new("the answer was interrupted")))
-        })
+    fn poll_frame(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<io::Result<Frame<Bytes>>>> {
+        self.0.poll_recv(context).map(|piece| piece.map(|piece| piece.map(Frame::data)))
     }
 }

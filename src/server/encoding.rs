@@ -1,7 +1,7 @@
 //! JSON or CBOR: which of them a client wants, and writing either.
 
 use axum::http::{HeaderMap, header};
-use mediatype::{MediaTypeList, ReadParams, names};
+use mediatype::{MediaType, MediaTypeList, ReadParams, names};
 use minicbor::Encoder;
 use minicbor::data::Tag;
 use serde::{Serialize, Serializer};
@@ -18,7 +18,7 @@ pub(crate) enum Encoding {
 }
 
 impl Encoding {
-    const ALL: [Self; 2] = [Self::Json, Self::Cbor];
+    pub(crate) const ALL: [Self; 2] = [Self::Json, Self::Cbor];
 
     pub(crate) fn content_type(self) -> &'static str {
         match self {
@@ -27,47 +27,36 @@ impl Encoding {
         }
     }
 
-    fn subtype(self) -> &'static str {
-        match self {
-            Self::Json => "json",
-            Self::Cbor => "cbor",
-        }
-    }
-
     /// What the client takes, and likes best; JSON without an Accept header, and where it does not matter.
     pub(crate) fn accepted(headers: &HeaderMap) -> Result<Self, Problem> {
-        let mut ranges = headers.get_all(header::ACCEPT).iter();
+        let mut lists = headers.get_all(header::ACCEPT).iter();
         // What nearly all send needs no parsing.
-        match (ranges.next(), ranges.next()) {
+        match (lists.next(), lists.next()) {
             (None, _) => return Ok(Self::Json),
             (Some(only), None) if only == "*/*" || only == "application/json" => return Ok(Self::Json),
             (Some(_), _) => {}
         }
-        let weights = Self::ALL.map(|encoding| (encoding, encoding.weight(headers)));
+        let ranges = ranges(headers);
+        let weights = Self::ALL.map(|encoding| (encoding, encoding.weight(&ranges)));
         let best = weights.into_iter().filter(|(_, weight)| *weight > 0.0).reduce(|a, b| if b.1 > a.1 { b } else { a });
         best.map(|(encoding, _)| encoding).ok_or_else(|| Problem::plain(Code::NotAcceptable))
     }
 
     /// That of the most specific range that covers it.
-    fn weight(self, headers: &HeaderMap) -> f32 {
-        let ranges = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
-        let mut best = (0, 0.0);
-        for range in ranges.flat_map(MediaTypeList::new).flatten() {
-            let specificity = match (range.ty.as_str(), range.subty.as_str()) {
-                ("*", "*") => 1,
-                (ty, "*") if ty.eq_ignore_ascii_case("application") => 2,
-                (ty, subty) if ty.eq_ignore_ascii_case("application") && subty.eq_ignore_ascii_case(self.subtype()) => {
-                    3
-                }
-                _ => continue,
-            };
-            let weight = range.get_param(names::Q).map_or(1.0, |q| q.as_str().trim().parse().unwrap_or(0.0));
-            if specificity >= best.0 {
-                best = (specificity, weight);
-            }
-        }
-        best.1
+    fn weight(self, ranges: &[(String, f32)]) -> f32 {
+        let of = |covering: &str| ranges.iter().rev().find(|(range, _)| range == covering).map(|(_, weight)| *weight);
+        of(self.content_type()).or_else(|| of("application/*")).or_else(|| of("*/*")).unwrap_or(0.0)
     }
+}
+
+/// The media ranges of Accept, in lower case, with their weights.
+pub(crate) fn ranges(headers: &HeaderMap) -> Vec<(String, f32)> {
+    let lists = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
+    let range = |media: MediaType<'_>| {
+        let weight = media.get_param(names::Q).map_or(1.0, |q| q.as_str().trim().parse().unwrap_or(0.0));
+        (format!("{}/{}", media.ty, media.subty).to_ascii_lowercase(), weight)
+    };
+    lists.flat_map(MediaTypeList::new).flatten().map(range).collect()
 }
 
 /// Writes an answer a part at a time: maps and lists whose members are written one after the other, in either encoding.

@@ -13,6 +13,7 @@ use serde::de::DeserializeOwned;
 
 use crate::ids::ParticleId;
 use crate::server::App;
+use crate::server::coding::Coding;
 use crate::server::config::{BODY_BYTES_MAX, PAGE_DEFAULT, PAGE_MAX, SMALL_BODY_BYTES_MAX};
 use crate::server::encoding::Encoding;
 use crate::server::idempotency::Key;
@@ -20,7 +21,7 @@ use crate::server::memory::{Charge, OBJECT_BYTES, PARSED_BYTES, objects};
 use crate::server::problem::{Code, Problem};
 
 /// The names in the path.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Clone)]
 pub(crate) struct Target {
     pub(crate) world: String,
     /// `Some(None)`: something that cannot be an id.
@@ -48,6 +49,7 @@ pub(crate) struct Read {
     pub(crate) preconditions: Preconditions,
     /// That of the answer.
     pub(crate) encoding: Encoding,
+    pub(crate) coding: Option<Coding>,
     uri: Uri,
 }
 
@@ -60,11 +62,21 @@ pub(crate) struct Change {
     pub(crate) key: Option<Result<Key, Problem>>,
     /// That of the answer.
     pub(crate) encoding: Encoding,
+    pub(crate) coding: Option<Coding>,
     pub(crate) body: Bytes,
     pub(crate) uri: Uri,
     /// For the body, and what it is parsed into.
     #[expect(dead_code, reason = "lives as long as the request")]
     pub(crate) charge: Option<Charge>,
+}
+
+impl Change {
+    /// Commands that came over a WebSocket.
+    pub(crate) fn of_frame(app: &App, target: Target, body: Bytes, encoding: Encoding) -> Result<Self, Problem> {
+        let mut charge = Charge::none(&app.shared.in_flight);
+        charge.grow(body.len() as u64 * PARSED_BYTES + objects(&body).min(app.config.objects_max()) * OBJECT_BYTES)?;
+        Ok(Self { target, encoding, body, charge: Some(charge), ..Self::default() })
+    }
 }
 
 impl Read {
@@ -85,7 +97,7 @@ impl Change {
     }
 }
 
-fn query<Q: DeserializeOwned>(uri: &Uri) -> Result<Q, Problem> {
+pub(crate) fn query<Q: DeserializeOwned>(uri: &Uri) -> Result<Q, Problem> {
     Query::try_from_uri(uri).map(|Query(query)| query).map_err(|error| {
         let detail = error.body_text();
         let reason = detail.strip_prefix("Failed to deserialize query string: ").unwrap_or(&detail);
@@ -118,6 +130,7 @@ impl FromRequestParts<Arc<App>> for Read {
     async fn from_request_parts(parts: &mut Parts, state: &Arc<App>) -> Result<Self, Problem> {
         Ok(Self {
             encoding: Encoding::accepted(&parts.headers)?,
+            coding: Coding::accepted(&parts.headers),
             target: target(parts, state).await?,
             preconditions: Preconditions::new(&parts.headers),
             uri: parts.uri.clone(),
@@ -153,6 +166,7 @@ impl FromRequest<Arc<App>> for Change {
             preconditions: Preconditions::new(&parts.headers),
             key: Key::of(&parts.method, &parts.uri, &parts.headers, encoding, &body).transpose(),
             encoding,
+            coding: Coding::accepted(&parts.headers),
             body,
             uri: parts.uri,
             charge: Some(charge),
@@ -160,7 +174,7 @@ impl FromRequest<Arc<App>> for Change {
     }
 }
 
-async fn target(parts: &mut Parts, state: &Arc<App>) -> Result<Target, Problem> {
+pub(crate) async fn target(parts: &mut Parts, state: &Arc<App>) -> Result<Target, Problem> {
     let names = RawPathParams::from_request_parts(parts, state)
         .await
         .map_err(|_| Problem::new(Code::UnknownRoute, "the path is not UTF-8"))?;

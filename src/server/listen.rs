@@ -16,6 +16,7 @@ use hyper::service::service_fn;
 use hyper_util::rt::{TokioExecutor, TokioIo};
 use hyper_util::server::conn::auto;
 use hyper_util::server::graceful::GracefulShutdown;
+use prometheus_client::metrics::gauge::Gauge;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpSocket, UnixListener, UnixStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
@@ -149,6 +150,7 @@ pub async fn serve(listeners: Vec<Listener>, app: Arc<App>, shutdown: impl Futur
     shutdown.await;
     forgetting.abort();
     app.draining.store(true, Ordering::SeqCst);
+    app.drain.notify_waiters();
     tracing::info!("finishing what is in flight");
     let drained = async {
         app.in_flight.none().await;
@@ -269,9 +271,15 @@ impl Connections {
     }
 
     /// Answers requests until the connection ends; then its places are free again.
-    fn answer(&self, stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, places: impl Send + 'static) {
+    fn answer(
+        &self,
+        stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
+        places: impl Send + Unpin + 'static,
+    ) {
         let activity = Arc::<Activity>::default();
-        let socket = Socket::new(stream, Arc::clone(&self.app), Arc::clone(&activity));
+        self.app.metrics.connections.inc();
+        let places = (places, Open(self.app.metrics.connections.clone()));
+        let socket = Socket::new(stream, places, Arc::clone(&self.app), Arc::clone(&activity));
         let (front, app) = (self.front.clone(), Arc::clone(&self.app));
         let service = service_fn(move |request: hyper::Request<Incoming>| {
             let active = activity.begin();
@@ -279,17 +287,22 @@ impl Connections {
             let answer = front.clone().answer(request.map(Body::new));
             async move { Ok::<_, Infallible>(active.deliver(answer.await, &app)) }
         });
-        let connection = self.protocol.serve_connection(TokioIo::new(socket), service).into_owned();
+        let connection = self.protocol.serve_connection_with_upgrades(TokioIo::new(socket), service).into_owned();
         let connection = self.graceful.watch(connection);
-        let open = self.app.metrics.connections.clone();
-        open.inc();
         tokio::spawn(async move {
             if let Err(error) = connection.await {
                 tracing::debug!(error, "connection ended");
             }
-            open.dec();
-            drop(places);
         });
+    }
+}
+
+/// One of the connections that are open.
+struct Open(Gauge);
+
+impl Drop for Open {
+    fn drop(&mut self) {
+        self.0.dec();
     }
 }
 

@@ -166,6 +166,7 @@ pub(crate) fn text(app: &App) -> String {
     let particles = worlds.iter().map(|(_, any)| with_slot!(any, slot => slot.particle_count()) as u64).sum();
     now("worlds", "Worlds held in memory", None, worlds.len() as u64);
     now("particles", "Particles of all worlds", None, particles);
+    now("followers", "Clients that follow a world", None, app.followers.count());
     now("in_flight", "Requests that have begun and not ended, this one included", None, app.in_flight.count());
     now("worlds_charged", "What worlds take of --memory-bytes-max", Some(Unit::Bytes), app.shared.memory.used());
     now(

@@ -4,11 +4,13 @@
 //! it behind [`Listener`]s.
 
 mod access;
+mod coding;
 mod columns;
 mod config;
 mod content;
 mod encoding;
 mod extract;
+mod follow;
 mod front;
 mod healthcheck;
 mod idempotency;
@@ -27,11 +29,12 @@ mod slot;
 mod socket;
 mod wire;
 
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, RwLock};
 
 use axum::Router;
 use axum::body::Bytes;
+use tokio::sync::Notify;
 use utoipa_axum::router::OpenApiRouter;
 
 pub use access::{AccessError, Tokens};
@@ -58,9 +61,13 @@ pub struct App {
     pub(crate) metrics: Metrics,
     /// Set once the service is to end: not ready for new work.
     pub(crate) draining: AtomicBool,
+    /// Told then.
+    pub(crate) drain: Notify,
     pub(crate) in_flight: front::InFlight,
     /// Answers that are not yet with the system.
     pub(crate) underway: front::InFlight,
+    /// Clients that follow a world.
+    pub(crate) followers: front::InFlight,
     pub(crate) request_ids: front::RequestIds,
     /// Makes names that cannot be guessed.
     pub(crate) secret: u64,
@@ -91,13 +98,24 @@ impl App {
             shared: Arc::new(slot::Shared::new(&config).map_err(StartError::Threads)?),
             metrics: Metrics::new(description.paths.paths.keys().cloned()),
             draining: AtomicBool::new(false),
+            drain: Notify::new(),
             in_flight: front::InFlight::default(),
             underway: front::InFlight::default(),
+            followers: front::InFlight::default(),
             request_ids: front::RequestIds::default(),
             secret: front::random(),
             openapi: openapi::document(description).into(),
             config,
         }))
+    }
+
+    /// Ends when the service is to end.
+    pub(crate) async fn drained(&self) {
+        let mut told = std::pin::pin!(self.drain.notified());
+        told.as_mut().enable();
+        if !self.draining.load(Ordering::SeqCst) {
+            told.await;
+        }
     }
 
     /// The world of the path.
@@ -114,6 +132,7 @@ fn documented_routes() -> OpenApiRouter<Arc<App>> {
         .merge(routes::advance::routes())
         .merge(routes::commands::routes())
         .merge(routes::trajectory::routes())
+        .merge(routes::stream::routes())
         .merge(routes::service::routes())
 }
 

@@ -1,14 +1,18 @@
 //! What is answered when all is well.
 
+use std::sync::Arc;
+
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
+use crate::server::coding::Coding;
 use crate::server::content::Content;
 use crate::server::encoding::Encoding;
 use crate::server::extract::etag;
 use crate::server::idempotency::IDEMPOTENCY_REPLAYED;
 use crate::server::memory::Charge;
+use crate::server::slot::Shared;
 
 /// An answer that is not a refusal.
 #[derive(Debug, Clone)]
@@ -61,6 +65,11 @@ impl Reply {
         Self { content: self.content.whole(), ..self }
     }
 
+    /// Packed, where the client asks for it and it pays.
+    pub(crate) fn coded(self, coding: Option<Coding>, shared: &Arc<Shared>) -> Self {
+        Self { content: self.content.coded(coding, shared), ..self }
+    }
+
     /// Gives the charge back when the content is on its way.
     pub(crate) fn charged(self, charge: Charge) -> Self {
         Self { content: self.content.charged(charge), ..self }
@@ -69,12 +78,16 @@ impl Reply {
 
 impl IntoResponse for Reply {
     fn into_response(self) -> Response {
-        let content_type = self.content.encoding.content_type();
+        let (content_type, coding) = (self.content.encoding.content_type(), self.content.coding);
         let mut response = Response::new(self.content.into_body());
         *response.status_mut() = self.status;
         let headers = response.headers_mut();
         if matches!(self.status, StatusCode::OK | StatusCode::CREATED) {
             headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(content_type));
+        }
+        if let Some(coding) = coding {
+            headers.insert(header::CONTENT_ENCODING, HeaderValue::from_static(coding.name()));
+            headers.insert(header::VARY, HeaderValue::from_static("accept, accept-encoding"));
         }
         if let Some(location) = self.location {
             headers.insert(header::LOCATION, location.try_into().expect("names of worlds are valid in headers"));

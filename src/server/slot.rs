@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use axum::body::Bytes;
 use axum::response::{IntoResponse, Response};
-use tokio::sync::{OwnedMutexGuard, OwnedSemaphorePermit};
+use tokio::sync::{Notify, OwnedMutexGuard, OwnedSemaphorePermit};
 
 use crate::real::Real;
 use crate::server::columns;
@@ -71,6 +71,8 @@ pub(crate) struct Slot<R: WireReal> {
     /// Those who wait for the lock.
     pub(crate) queue: Queue,
     pub(crate) answers: Answers,
+    /// Told of every change, and of the end.
+    pub(crate) changed: Notify,
     shared: Arc<Shared>,
 }
 
@@ -245,6 +247,7 @@ impl<R: WireReal> Slot<R> {
             description,
             queue: Queue::new(shared.world_queue),
             answers: Answers::new(shared.key_limits),
+            changed: Notify::new(),
             shared: Arc::clone(shared),
         }
     }
@@ -310,7 +313,7 @@ impl<R: WireReal> Slot<R> {
         };
         let mut turn = self.turn(&change.target, check).await?;
         let parsed = parsed?;
-        let slot = Arc::clone(self);
+        let (slot, coding) = (Arc::clone(self), change.coding);
         run(turn.work, move |cancelled| {
             let held = &mut *turn.held;
             held.interrupted = true;
@@ -322,8 +325,9 @@ impl<R: WireReal> Slot<R> {
                 claim.answered(reply);
             }
             held.interrupted = false;
+            slot.changed.notify_waiters();
             let charge = turn.end(&slot.answers);
-            Ok(reply?.charged(charge))
+            Ok(reply?.charged(charge).coded(coding, &slot.shared))
         })
         .await
     }
@@ -347,12 +351,12 @@ impl<R: WireReal> Slot<R> {
         if preconditions.has(revision) {
             return Ok(Reply::not_modified().at(revision).into_response());
         }
-        let slot = Arc::clone(self);
+        let (slot, coding) = (Arc::clone(self), read.coding);
         run(turn.work, move |cancelled| {
             let world = turn.held.world.as_ref().expect("it was there above, under the same lock");
             let content = answer(world, query, cancelled);
             let charge = turn.end(&slot.answers);
-            Ok(Reply::of(content?).at(revision).charged(charge).into_response())
+            Ok(Reply::of(content?).at(revision).charged(charge).coded(coding, &slot.shared).into_response())
         })
         .await
     }
@@ -396,6 +400,14 @@ impl<R: WireReal> Slot<R> {
         Err(Problem::new(Code::Overloaded, "the world and a processor were never free together; try again later"))
     }
 
+    /// The world as it is in its turn, however long that takes, with a history from then on.
+    pub(crate) async fn view(&self, target: &Target) -> Result<World<R>, Problem> {
+        let mut held = Arc::clone(&self.world).lock_owned().await;
+        let world = held.world(target)?;
+        world.keep_history();
+        Ok(world.clone())
+    }
+
     /// Takes the world out, in its turn; `forget` runs while nobody else can see it.
     pub(crate) async fn remove(
         self: &Arc<Self>,
@@ -411,6 +423,7 @@ impl<R: WireReal> Slot<R> {
         held.world = None;
         held.charge.shrink_to(0);
         forget();
+        self.changed.notify_waiters();
         Ok(Reply::no_content().into_response())
     }
 
@@ -482,7 +495,9 @@ async fn run<T: Send + 'static>(
 }
 
 /// The compute pool is tokio's pool of blocking threads, which nothing else uses.
-async fn in_pool<T: Send + 'static>(job: impl FnOnce() -> Result<T, Problem> + Send + 'static) -> Result<T, Problem> {
+pub(crate) async fn in_pool<T: Send + 'static>(
+    job: impl FnOnce() -> Result<T, Problem> + Send + 'static,
+) -> Result<T, Problem> {
     match tokio::task::spawn_blocking(job).await {
         Ok(result) => result,
         Err(error) => match error.try_into_panic() {

@@ -3,12 +3,13 @@
 
 use std::io::{self, IoSlice};
 use std::pin::Pin;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
 use axum::body::{Body, Bytes, HttpBody};
+use axum::http::StatusCode;
 use axum::response::Response;
 use hyper::body::{Frame, SizeHint};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
@@ -19,8 +20,10 @@ use crate::server::front::Entered;
 use crate::server::problem::{Code, Problem};
 
 /// A socket with deadlines, whose bare refusals are told as problems.
-pub(crate) struct Socket<S> {
+pub(crate) struct Socket<S, P> {
     inner: S,
+    /// What it holds while it is open.
+    _places: P,
     app: Arc<App>,
     activity: Arc<Activity>,
     /// How many requests had begun when this was last looked at.
@@ -51,6 +54,8 @@ enum Waiting {
 pub(crate) struct Activity {
     begun: AtomicUsize,
     in_flight: AtomicUsize,
+    /// It speaks another protocol now, which has deadlines of its own.
+    is_upgraded: AtomicBool,
     /// The moments until which answers have to be taken.
     answers: Mutex<Vec<(usize, Instant)>>,
 }
@@ -70,7 +75,9 @@ impl Activity {
     }
 
     fn is_busy(&self) -> bool {
-        self.in_flight.load(Ordering::Relaxed) > 0 || !self.answers().is_empty()
+        self.in_flight.load(Ordering::Relaxed) > 0
+            || self.is_upgraded.load(Ordering::Relaxed)
+            || !self.answers().is_empty()
     }
 
     /// The first moment until which one of the answers has to be taken.
@@ -83,6 +90,9 @@ impl Active {
     /// Ends the request; its answer has to be taken within the patience, and as long as it takes at the least rate. One that
     /// is made on the way goes on with the request, and each piece of it has to be taken so.
     pub(crate) fn deliver(self, response: Response, app: &Arc<App>) -> Response {
+        if response.status() == StatusCode::SWITCHING_PROTOCOLS {
+            self.0.is_upgraded.store(true, Ordering::Relaxed);
+        }
         match response.body().size_hint().exact() {
             Some(0) => response,
             Some(bytes) => {
@@ -204,10 +214,11 @@ impl Deadline {
     }
 }
 
-impl<S> Socket<S> {
-    pub(crate) fn new(inner: S, app: Arc<App>, activity: Arc<Activity>) -> Self {
+impl<S, P> Socket<S, P> {
+    pub(crate) fn new(inner: S, places: P, app: Arc<App>, activity: Arc<Activity>) -> Self {
         Self {
             inner,
+            _places: places,
             app,
             activity,
             begun: 0,
@@ -299,7 +310,7 @@ impl<S> Socket<S> {
     }
 }
 
-impl<S: AsyncWrite + Unpin> Socket<S> {
+impl<S: AsyncWrite + Unpin, P> Socket<S, P> {
     /// Writes what is written instead, to its end.
     fn poll_instead(&mut self, context: &mut Context<'_>) -> Poll<io::Result<()>> {
         if let Some((bytes, written)) = &mut self.instead {
@@ -311,7 +322,7 @@ impl<S: AsyncWrite + Unpin> Socket<S> {
     }
 }
 
-impl<S: AsyncWrite + Unpin> AsyncWrite for Socket<S> {
+impl<S: AsyncWrite + Unpin, P: Unpin> AsyncWrite for Socket<S, P> {
     fn poll_write(mut self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         if self.instead.is_none() && self.is_bare(bytes) {
             self.replace(bytes);
@@ -351,7 +362,7 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for Socket<S> {
     }
 }
 
-impl<S: AsyncRead + Unpin> AsyncRead for Socket<S> {
+impl<S: AsyncRead + Unpin, P: Unpin> AsyncRead for Socket<S, P> {
     fn poll_read(mut self: Pin<&mut Self>, context: &mut Context<'_>, into: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let before = into.filled().len();
         let poll = Pin::new(&mut self.inner).poll_read(context, into);

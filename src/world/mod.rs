@@ -9,6 +9,7 @@ mod columns;
 #[cfg(feature = "digest")]
 mod digest;
 mod drive;
+mod history;
 mod motion;
 mod system;
 mod trajectory;

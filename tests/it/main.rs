@@ -5,6 +5,8 @@
 
 /// Who may come in.
 mod access;
+/// What answers look like: encodings, packing, large ones on their way.
+mod answers;
 /// The binary as its user meets it.
 mod command_line;
 /// Several commands in one request.

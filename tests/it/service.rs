@@ -179,6 +179,25 @@ impl Client {
         bytes
     }
 
+    /// The body of a chunked answer of which the beginning was read, with headers.
+    #[track_caller]
+    pub(crate) fn rest_of_answer(&mut self, beginning: &[u8]) -> Vec<u8> {
+        let head = beginning.windows(4).position(|window| window == b"\r\n\r\n").expect("headers") + 4;
+        let mut chunks = std::io::Cursor::new(&beginning[head..]).chain(&mut self.stream);
+        let (mut body, mut size) = (Vec::new(), String::new());
+        loop {
+            size.clear();
+            chunks.read_line(&mut size).expect("a size");
+            let length = usize::from_str_radix(size.trim_end(), 16).expect("a size");
+            let mut chunk = vec![0; length + 2];
+            chunks.read_exact(&mut chunk).expect("a chunk");
+            if length == 0 {
+                return body;
+            }
+            body.extend_from_slice(&chunk[..length]);
+        }
+    }
+
     /// Reads what there is, and whether that was the end.
     pub(crate) fn is_gone(&mut self) -> bool {
         match self.stream.read(&mut [0; 4096]) {
@@ -211,7 +230,7 @@ impl Client {
             headers.insert(name.to_ascii_lowercase(), value.to_owned());
         }
         let mut body = Vec::new();
-        if headers.get("transfer-encoding").is_some_and(|encoding| encoding == "chunked") {
+        if !is_head && headers.get("transfer-encoding").is_some_and(|encoding| encoding == "chunked") {
             loop {
                 let mut size = String::new();
                 self.stream.read_line(&mut size).ok()?;
@@ -276,7 +295,9 @@ fn check_documented(method: &str, path: &str, answer: &Answer) {
     if method == "OPTIONS" && answer.status == 200 {
         return;
     }
-    if !answer.body.is_empty() && !path.starts_with("/docs") {
+    let is_text = answer.header("content-encoding").is_none()
+        && !matches!(answer.header("content-type"), Some("application/cbor" | "application/octet-stream"));
+    if !answer.body.is_empty() && is_text && !path.starts_with("/docs") {
         assert_eq!(answer.body.last(), Some(&b'\n'), "{method} {path} without a newline at its end");
     }
     let method = if method == "HEAD" { "GET" } else { method };

@@ -276,7 +276,7 @@ async fn run_commands_in_worlds(State(app): State<Arc<App>>, change: Change) -> 
             Err(error) => tracing::error!(%error, "panic"),
         }
     }
-    Ok(of_worlds(&names, answers, change.encoding))
+    Ok(of_worlds(&names, answers, change.encoding).coded(change.coding, &app.shared).into_response())
 }
 
 /// The commands of each world, without a copy.
@@ -292,7 +292,7 @@ fn worlds(body: &Bytes, config: &Config) -> Result<Vec<(String, Bytes)>, Problem
 }
 
 /// One answer of the answers of all worlds, which are not copied.
-fn of_worlds(names: &[String], answers: Vec<Result<Reply, Problem>>, encoding: Encoding) -> Response {
+fn of_worlds(names: &[String], answers: Vec<Result<Reply, Problem>>, encoding: Encoding) -> Reply {
     let is_replayed =
         !answers.is_empty() && answers.iter().flatten().filter(|reply| reply.is_replayed).count() == answers.len();
     let mut composer = Composer::new(encoding);
@@ -309,11 +309,11 @@ fn of_worlds(names: &[String], answers: Vec<Result<Reply, Problem>>, encoding: E
     composer.writer.end_map();
     composer.writer.end_map();
     let reply = Reply::of(composer.content());
-    if is_replayed { reply.replayed() } else { reply }.into_response()
+    if is_replayed { reply.replayed() } else { reply }
 }
 
 /// Changes the world of the path by the commands of the body.
-async fn run(app: &Arc<App>, change: &Change) -> Result<Reply, Problem> {
+pub(crate) async fn run(app: &Arc<App>, change: &Change) -> Result<Reply, Problem> {
     let any = app.slot(&change.target)?;
     with_slot!(any, slot => {
         let held = Arc::clone(app);

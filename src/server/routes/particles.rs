@@ -209,19 +209,23 @@ struct List {
     after: Option<u64>,
 }
 
+/// Reads `ids=2,0`: in ascending order, each once.
+pub(crate) fn listed_ids(ids: &str) -> Result<Vec<u64>, Problem> {
+    let mut ids = ids
+        .split(',')
+        .map(str::parse)
+        .collect::<Result<Vec<u64>, _>>()
+        .map_err(|_| Problem::new(Code::InvalidParameter, "ids is a list of whole numbers, separated by commas"))?;
+    ids.sort_unstable();
+    ids.dedup();
+    Ok(ids)
+}
+
 impl TryFrom<ListQuery> for List {
     type Error = Problem;
     fn try_from(query: ListQuery) -> Result<Self, Problem> {
-        let ids = query.ids.map(|ids| ids.split(',').map(str::parse).collect::<Result<Vec<u64>, _>>());
-        let mut ids = ids
-            .transpose()
-            .map_err(|_| Problem::new(Code::InvalidParameter, "ids is a list of whole numbers, separated by commas"))?;
-        if let Some(ids) = &mut ids {
-            ids.sort_unstable();
-            ids.dedup();
-        }
         Ok(Self {
-            ids,
+            ids: query.ids.as_deref().map(listed_ids).transpose()?,
             properties: query.fields.map(|fields| properties(&fields)).transpose()?,
             limit: page_limit(query.limit)?,
             after: query.after,

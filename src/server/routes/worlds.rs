@@ -176,7 +176,8 @@ async fn list_worlds(State(app): State<Arc<App>>, read: Read) -> Result<Response
         AnySlot::Single(slot) => AnyDescription::Single(slot.description()),
         AnySlot::Double(slot) => AnyDescription::Double(slot.description()),
     });
-    Ok(Reply::ok(read.encoding, &Worlds { worlds: worlds.collect(), next_after }).into_response())
+    let reply = Reply::ok(read.encoding, &Worlds { worlds: worlds.collect(), next_after });
+    Ok(reply.coded(read.coding, &app.shared).into_response())
 }
 
 /// Creates a world with a name that the service makes
