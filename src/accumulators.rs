@@ -37,6 +37,22 @@ impl<R: Real> Accumulators<R> {
         Self { sum: Column::Uniform([R::ZERO; 3]), acting: Acting::Few(Vec::new()), idle: 0 }
     }
 
+    /// These sums on particles any of which a force may act on.
+    #[cfg(feature = "snapshot")]
+    pub(crate) fn many(sum: Column<[R; 3]>) -> Self {
+        Self { sum, acting: Acting::Many, idle: 0 }
+    }
+
+    /// These sums on `len` particles, and on some that are gone.
+    #[cfg(feature = "snapshot")]
+    pub(crate) fn few(few: &[(ParticleId, [R; 3])], ids: &Ids, len: usize) -> Self {
+        let mut sum = Column::Uniform([R::ZERO; 3]);
+        for (row, force) in few.iter().filter_map(|(id, force)| Some((ids.row(*id)?, *force))) {
+            sum.set(row, force, len);
+        }
+        Self { sum, acting: Acting::Few(few.iter().map(|(id, _)| *id).collect()), idle: 0 }
+    }
+
     pub(crate) fn get(&self, row: usize) -> [R; 3] {
         self.sum.get(row)
     }

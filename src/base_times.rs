@@ -35,6 +35,40 @@ impl BaseTimes {
         Self { distinct: vec![Distinct { time, count: 0 }], of: Column::Uniform(0), free: Vec::new(), last: 0 }
     }
 
+    /// These times, each of which belongs to a particle; `None` when that is not so, or they are not in the order in which
+    /// the particles name them first.
+    #[cfg(feature = "snapshot")]
+    pub(crate) fn restored(times: &[DoubleDouble], of: Vec<u32>) -> Option<Self> {
+        let mut distinct: Vec<Distinct> = times.iter().map(|time| Distinct { time: *time, count: 0 }).collect();
+        let mut named = 0;
+        for index in of.iter().map(|index| *index as usize) {
+            if index > named || index >= distinct.len() {
+                return None;
+            }
+            named += usize::from(index == named);
+            distinct[index].count += 1;
+        }
+        let newest = (0..).zip(times).reduce(|a, b| if (*b.1 - *a.1).hi > 0.0 { b } else { a });
+        let (last, _) = newest?;
+        (named == times.len()).then_some(Self { distinct, of: Column::PerParticle(of), free: Vec::new(), last })
+    }
+
+    /// The times of `len` particles, in the order in which these name them first; and which of those each of
+    /// [`Self::distinct`] is.
+    #[cfg(feature = "snapshot")]
+    pub(crate) fn in_order(&self, len: usize) -> (Vec<DoubleDouble>, Vec<u32>) {
+        let mut places = vec![u32::MAX; self.distinct.len()];
+        let mut times = Vec::new();
+        let rows = if matches!(self.of, Column::Uniform(_)) { len.min(1) } else { len };
+        for index in (0..rows).map(|row| self.index(row)) {
+            if places[index] == u32::MAX {
+                places[index] = u32::try_from(times.len()).expect("as many as particles, which are counted in 32 bits");
+                times.push(self.distinct[index].time);
+            }
+        }
+        (times, places)
+    }
+
     pub(crate) fn get(&self, row: usize) -> DoubleDouble {
         self.distinct[self.index(row)].time
     }

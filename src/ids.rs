@@ -44,6 +44,26 @@ impl Ids {
     /// The most rows that a world can have.
     pub(crate) const LEN_MAX: u64 = u32::MAX as u64;
 
+    /// The first `next` ids, none of which is gone.
+    #[cfg(feature = "snapshot")]
+    pub(crate) fn first(next: u64) -> Self {
+        Self { next, table: None }
+    }
+
+    /// These in the order of their rows, of which some are gone; `None` when one is there twice, or is none of the first
+    /// `next`.
+    #[cfg(feature = "snapshot")]
+    pub(crate) fn some(next: u64, id_of: Vec<u64>) -> Option<Self> {
+        let mut sorted: Vec<(u64, u32)> = id_of.iter().copied().zip(0..).collect();
+        sorted.sort_unstable();
+        let is_strict = sorted.is_sorted_by(|a, b| a.0 < b.0) && sorted.last().is_none_or(|(last, _)| *last < next);
+        let pages = sorted.chunk_by(|a, b| a.0 / PAGE == b.0 / PAGE).map(|page| {
+            let present = page.iter().fold(0, |present, (id, _)| present | Page::bit(*id));
+            (page[0].0 / PAGE, Page { present, rows: page.iter().map(|(_, row)| *row).collect() })
+        });
+        is_strict.then(|| Self { next, table: Some(Table { pages: pages.collect(), id_of }) })
+    }
+
     pub(crate) fn len(&self) -> usize {
         match &self.table {
             None => usize::try_from(self.next).expect("every id is a row that is held in memory"),

@@ -23,7 +23,7 @@
 //! # Code map
 //!
 //! [`World`] applies [`Command`]s; the methods of `World` are commands for one particle. `world` has a file for changes,
-//! one for time and one for the digest (feature `digest`); `closed_form` has the exact integrator, `kernel` the stepped
+//! one for time, one for the digest (feature `digest`) and one for snapshots (feature `snapshot`); `closed_form` has the exact integrator, `kernel` the stepped
 //! ones under constant accelerations, and `system` those under forces that depend on the state. Columns, ids and the
 //! double-double clock have a file each. Everything under `server` speaks HTTP; nothing else does. ARCHITECTURE.md says
 //! why.
@@ -65,6 +65,8 @@ pub use threads::Threads;
 #[cfg(feature = "digest")]
 pub use world::Digest;
 pub use world::{ParticleState, States, StepPlan, Trajectory, World};
+#[cfg(feature = "snapshot")]
+pub use world::{Snapshot, SnapshotError};
 
 /// The Rust of README.md, run as a documentation test.
 #[cfg(doctest)]

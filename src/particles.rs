@@ -170,6 +170,17 @@ impl<R: Real> Particles<R> {
         }
     }
 
+    /// Finds out who is immovable and who rests, after all columns were written.
+    #[cfg(feature = "snapshot")]
+    pub(crate) fn note_all(&mut self) {
+        for row in 0..self.len() {
+            if self.inverse_mass.get(row) == R::ZERO {
+                self.immovable_count += 1;
+                self.note_rest(row);
+            }
+        }
+    }
+
     /// Appends `count` particles.
     pub(crate) fn extend(&mut self, new: &New<R>, count: usize, clock: DoubleDouble, compensated: bool) {
         let len = self.len();

@@ -49,8 +49,36 @@ mod sealed {
         fn load<S: Simd>(simd: S, from: &[Self]) -> (S::f64s, S::f64s);
         /// The same back, each rounded to the nearest.
         fn store<S: Simd>(values: (S::f64s, S::f64s), to: &mut [Self]);
+        /// The bytes of one.
+        #[cfg(feature = "snapshot")]
+        const BYTES: usize;
+        /// Appends their bytes, little-endian.
+        #[cfg(feature = "snapshot")]
+        fn to_bytes(values: &[Self], to: &mut Vec<u8>);
+        /// Appends those that the bytes hold.
+        #[cfg(feature = "snapshot")]
+        fn from_bytes(bytes: &[u8], to: &mut Vec<Self>);
+    }
+    /// The bytes of numbers.
+    #[cfg(feature = "snapshot")]
+    macro_rules! bytes {
+        () => {
+            const BYTES: usize = size_of::<Self>();
+            fn to_bytes(values: &[Self], to: &mut Vec<u8>) {
+                let old = to.len();
+                to.resize(old + size_of_val(values), 0);
+                let (numbers, _) = to[old..].as_chunks_mut();
+                numbers.iter_mut().zip(values).for_each(|(bytes, value)| *bytes = value.to_le_bytes());
+            }
+            fn from_bytes(bytes: &[u8], to: &mut Vec<Self>) {
+                let (numbers, _) = bytes.as_chunks();
+                to.extend(numbers.iter().map(|bytes| Self::from_le_bytes(*bytes)));
+            }
+        };
     }
     impl Sealed for f32 {
+        #[cfg(feature = "snapshot")]
+        bytes!();
         type Lanes<S: Simd> = S::f32s;
         #[inline(always)]
         fn load<S: Simd>(simd: S, from: &[Self]) -> (S::f64s, S::f64s) {
@@ -62,6 +90,8 @@ mod sealed {
         }
     }
     impl Sealed for f64 {
+        #[cfg(feature = "snapshot")]
+        bytes!();
         type Lanes<S: Simd> = S::f64s;
         #[inline(always)]
         fn load<S: Simd>(simd: S, from: &[Self]) -> (S::f64s, S::f64s) {

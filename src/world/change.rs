@@ -266,7 +266,7 @@ impl<R: Real> World<R> {
     }
 
     /// Refuses dampings that the integrator cannot compute with.
-    fn serve_dampings(&self, dampings: &Column<R>, count: usize) -> Result<(), Error> {
+    pub(super) fn serve_dampings(&self, dampings: &Column<R>, count: usize) -> Result<(), Error> {
         let integrator = self.settings.integrator;
         if integrator.serves_zero_damping() || count == 0 {
             return Ok(());
@@ -286,7 +286,7 @@ impl<R: Real> World<R> {
 }
 
 /// -0 as 0, so that adding it changes no bit.
-fn positive_zero<R: Real>(x: R) -> R {
+pub(super) fn positive_zero<R: Real>(x: R) -> R {
     x + R::ZERO
 }
 
@@ -317,7 +317,7 @@ fn check_each<T: Copy + PartialEq>(
     column.entries().try_for_each(|(index, value)| check(value, Place { field, index }))
 }
 
-fn check_finite<R: Real>(x: [R; 3], place: Place) -> Result<(), Error> {
+pub(super) fn check_finite<R: Real>(x: [R; 3], place: Place) -> Result<(), Error> {
     if x.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(Error::NotFinite(place)) }
 }
 
@@ -341,20 +341,22 @@ fn accelerations<R: Real, V: Copy + PartialEq + Into<[R; 3]>>(
 }
 
 fn dampings<R: Real>(column: &Column<R>, count: usize) -> Result<Column<R>, Error> {
-    check_each(column, Field::Damping, count, |d, place| {
-        if !d.is_finite() {
-            Err(Error::NotFinite(place))
-        } else if d < R::ZERO || d > R::ONE {
-            Err(Error::DampingOutOfRange(place))
-        } else {
-            Ok(())
-        }
-    })?;
+    check_each(column, Field::Damping, count, check_damping)?;
     Ok(column.map(positive_zero))
 }
 
+pub(super) fn check_damping<R: Real>(d: R, place: Place) -> Result<(), Error> {
+    if !d.is_finite() {
+        Err(Error::NotFinite(place))
+    } else if d < R::ZERO || d > R::ONE {
+        Err(Error::DampingOutOfRange(place))
+    } else {
+        Ok(())
+    }
+}
+
 /// A number that is finite and at least 0.
-fn check_magnitude<R: Real>(x: R, place: Place) -> Result<(), Error> {
+pub(super) fn check_magnitude<R: Real>(x: R, place: Place) -> Result<(), Error> {
     if !x.is_finite() {
         Err(Error::NotFinite(place))
     } else if x < R::ZERO {
@@ -365,12 +367,13 @@ fn check_magnitude<R: Real>(x: R, place: Place) -> Result<(), Error> {
 }
 
 fn drags<R: Real>(column: &Column<Option<Drag<R>>>, count: usize) -> Result<Column<Option<Drag<R>>>, Error> {
-    check_each(column, Field::Drag, count, |drag, place| {
-        let Some(Drag { k1, k2 }) = drag else { return Ok(()) };
-        check_magnitude(k1, Place { field: Field::K1, ..place })?;
-        check_magnitude(k2, Place { field: Field::K2, ..place })
-    })?;
+    check_each(column, Field::Drag, count, |drag, place| drag.map_or(Ok(()), |drag| check_drag(drag, place)))?;
     Ok(column.map(|drag| drag.map(|Drag { k1, k2 }| Drag { k1: positive_zero(k1), k2: positive_zero(k2) })))
+}
+
+pub(super) fn check_drag<R: Real>(Drag { k1, k2 }: Drag<R>, place: Place) -> Result<(), Error> {
+    check_magnitude(k1, Place { field: Field::K1, ..place })?;
+    check_magnitude(k2, Place { field: Field::K2, ..place })
 }
 
 fn gravitational_masses<R: Real>(column: &Column<Option<R>>, count: usize) -> Result<Column<Option<R>>, Error> {
@@ -403,18 +406,22 @@ fn inverse_masses<R: Real>(column: &Column<Mass<R>>, count: usize) -> Result<Col
             Mass::Mass(_) => place,
             Mass::Inverse(_) => Place { field: Field::InverseMass, ..place },
         };
-        match mass {
-            Mass::Mass(m) | Mass::Inverse(m) if !m.is_finite() => Err(Error::NotFinite(place)),
-            Mass::Mass(m) if m <= R::ZERO => Err(Error::MassNotPositive(place)),
-            Mass::Mass(m) if !(R::ONE / m).is_finite() => Err(Error::MassTooSmall(place)),
-            Mass::Inverse(w) if w < R::ZERO => Err(Error::InverseMassNegative(place)),
-            Mass::Mass(_) | Mass::Inverse(_) => Ok(()),
-        }
+        check_mass(mass, place)
     })?;
     Ok(column.map(|mass| match mass {
         Mass::Mass(m) => R::ONE / m,
         Mass::Inverse(w) => positive_zero(w),
     }))
+}
+
+pub(super) fn check_mass<R: Real>(mass: Mass<R>, place: Place) -> Result<(), Error> {
+    match mass {
+        Mass::Mass(m) | Mass::Inverse(m) if !m.is_finite() => Err(Error::NotFinite(place)),
+        Mass::Mass(m) if m <= R::ZERO => Err(Error::MassNotPositive(place)),
+        Mass::Mass(m) if !(R::ONE / m).is_finite() => Err(Error::MassTooSmall(place)),
+        Mass::Inverse(w) if w < R::ZERO => Err(Error::InverseMassNegative(place)),
+        Mass::Mass(_) | Mass::Inverse(_) => Ok(()),
+    }
 }
 
 /// Writes new values to some rows; one value for every particle makes the column uniform.

@@ -11,6 +11,10 @@ mod digest;
 mod drive;
 mod history;
 mod motion;
+#[cfg(feature = "snapshot")]
+mod restore;
+#[cfg(feature = "snapshot")]
+mod snapshot;
 mod system;
 mod trajectory;
 mod until;
@@ -40,6 +44,10 @@ pub(crate) use batch::{Keep, Part};
 pub(crate) use columns::Block;
 #[cfg(feature = "digest")]
 pub use digest::Digest;
+#[cfg(feature = "snapshot")]
+pub use restore::Snapshot;
+#[cfg(feature = "snapshot")]
+pub use snapshot::SnapshotError;
 pub use trajectory::Trajectory;
 
 /// Particles that move together, in one precision, under one clock.

@@ -206,7 +206,8 @@ impl<R: Real> World<R> {
         let watch = advance.until.as_ref().map(|until| Watch::new(self, until));
         let particle_steps = self.limits.particle_steps / (self.particles.len() as u64).max(1);
         let interactions = self.limits.interactions / self.interactions(1).max(1);
-        let steps_max = self.limits.steps.min(particle_steps).min(interactions).min(STEPS_MAX);
+        let left = u64::MAX - self.step_count;
+        let steps_max = self.limits.steps.min(particle_steps).min(interactions).min(STEPS_MAX).min(left);
         let max_step = advance.max_step.or(self.settings.max_step);
         let mut steps = Adaptive::new(self.settings.tolerance, plan.duration, max_step, steps_max);
         let mut done = Done { crossed: watch.as_ref().map(|_| false), ..Done::planned(plan) };

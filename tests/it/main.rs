@@ -45,6 +45,8 @@ mod retries;
 mod service;
 /// What a scene does not need is not done, and leaves no trace in its bits.
 mod skips;
+/// Worlds written down and read back.
+mod snapshot;
 /// Scenes that break the methods of the textbook, and the tolerances of docs/stability.md.
 mod stability;
 /// The tree itself.
