@@ -168,11 +168,10 @@ fn begin<R: WireReal>(property: Option<Property>, count: usize, writer: &mut Wri
     if is_list(property, writer.encoding) {
         return writer.begin_list(count);
     }
-    let count = count as u64;
     match property {
-        None => writer.begin_typed(UINT64_LE, 8 * count),
-        Some(Property::Damping | Property::InverseMass) => writer.begin_typed(R::TYPED_ARRAY, R::BYTES * count),
-        Some(_) => writer.begin_typed(R::TYPED_ARRAY, 3 * R::BYTES * count),
+        None => writer.begin_typed(UINT64_LE, size_of::<u64>() * count),
+        Some(Property::Damping | Property::InverseMass) => writer.begin_typed(R::TYPED_ARRAY, size_of::<R>() * count),
+        Some(_) => writer.begin_typed(R::TYPED_ARRAY, size_of::<[R; 3]>() * count),
     }
 }
 
@@ -211,13 +210,13 @@ fn write_values<R: WireReal>(property: Option<Property>, block: &mut Block<R>, w
 fn write_vectors<R: WireReal>(vectors: &[[R; 3]], writer: &mut Writer) {
     match writer.encoding {
         Encoding::Json => writer.members(vectors.iter()),
-        Encoding::Cbor => R::write_le(vectors.as_flattened(), &mut writer.bytes),
+        Encoding::Cbor => R::to_bytes(vectors.as_flattened(), &mut writer.bytes),
     }
 }
 
 fn write_numbers<R: WireReal>(numbers: impl ExactSizeIterator<Item = R>, writer: &mut Writer) {
     match writer.encoding {
         Encoding::Json => writer.members(numbers),
-        Encoding::Cbor => R::write_le(&numbers.collect::<Vec<R>>(), &mut writer.bytes),
+        Encoding::Cbor => R::to_bytes(&numbers.collect::<Vec<R>>(), &mut writer.bytes),
     }
 }

@@ -19,6 +19,7 @@ pub(crate) const INTERACTIONS_MAX: &str = "interactions-max";
 pub(crate) const COMMANDS_MAX: &str = "commands-max";
 pub(crate) const WORLDS_MAX: &str = "worlds-max";
 pub(crate) const BODY_BYTES_MAX: &str = "body-bytes-max";
+pub(crate) const SNAPSHOT_BYTES_MAX: &str = "snapshot-bytes-max";
 pub(crate) const MEMORY_BYTES_MAX: &str = "memory-bytes-max";
 pub(crate) const IN_FLIGHT_BYTES_MAX: &str = "in-flight-bytes-max";
 pub(crate) const ANSWER_BYTES_MAX: &str = "--answer-bytes-max";
@@ -145,6 +146,9 @@ pub struct Config {
     /// The largest request body where it speaks of many particles: two hundred thousand of them; elsewhere 1 MiB.
     #[arg(long, value_name = "BYTES", env = "POINTMASS_BODY_BYTES_MAX", default_value_t = 64 << 20)]
     pub body_bytes_max: usize,
+    /// The largest snapshot that is restored: as large as the largest answer.
+    #[arg(long, value_name = "BYTES", env = "POINTMASS_SNAPSHOT_BYTES_MAX", default_value_t = 256 << 20)]
+    pub snapshot_bytes_max: usize,
     /// The most simulated seconds of one advance; by default what a clock can hold, 2^400.
     #[arg(long, value_name = "SECONDS", env = "POINTMASS_DURATION_MAX")]
     pub duration_max: Option<f64>,

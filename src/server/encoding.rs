@@ -37,16 +37,21 @@ impl Encoding {
             (Some(_), _) => {}
         }
         let ranges = ranges(headers);
-        let weights = Self::ALL.map(|encoding| (encoding, encoding.weight(&ranges)));
+        let weights = Self::ALL.map(|encoding| (encoding, weight(&ranges, encoding.content_type())));
         let best = weights.into_iter().filter(|(_, weight)| *weight > 0.0).reduce(|a, b| if b.1 > a.1 { b } else { a });
         best.map(|(encoding, _)| encoding).ok_or_else(|| Problem::plain(Code::NotAcceptable))
     }
+}
 
-    /// That of the most specific range that covers it.
-    fn weight(self, ranges: &[(String, f32)]) -> f32 {
-        let of = |covering: &str| ranges.iter().rev().find(|(range, _)| range == covering).map(|(_, weight)| *weight);
-        of(self.content_type()).or_else(|| of("application/*")).or_else(|| of("*/*")).unwrap_or(0.0)
-    }
+/// Whether the client takes a type of `application/`; without an Accept header it takes anything.
+pub(crate) fn is_accepted(headers: &HeaderMap, media: &str) -> bool {
+    !headers.contains_key(header::ACCEPT) || weight(&ranges(headers), media) > 0.0
+}
+
+/// That of the most specific range that covers a type of `application/`.
+fn weight(ranges: &[(String, f32)], media: &str) -> f32 {
+    let of = |covering: &str| ranges.iter().rev().find(|(range, _)| range == covering).map(|(_, weight)| *weight);
+    of(media).or_else(|| of("application/*")).or_else(|| of("*/*")).unwrap_or(0.0)
 }
 
 /// The media ranges of Accept, in lower case, with their weights.
@@ -150,8 +155,8 @@ impl Writer {
     }
 
     /// Begins a typed array of so many bytes (CBOR).
-    pub(crate) fn begin_typed(&mut self, tag: u64, bytes: u64) {
-        self.cbor(|cbor| cbor.tag(Tag::new(tag))?.bytes_len(bytes).map(drop));
+    pub(crate) fn begin_typed(&mut self, tag: u64, bytes: usize) {
+        self.cbor(|cbor| cbor.tag(Tag::new(tag))?.bytes_len(bytes as u64).map(drop));
     }
 
     fn begin(&mut self, bracket: u8, head: impl FnOnce(&mut Encoder<&mut Vec<u8>>) -> Written) {

@@ -128,8 +128,16 @@ impl FromRequestParts<Arc<App>> for Read {
     type Rejection = Problem;
 
     async fn from_request_parts(parts: &mut Parts, state: &Arc<App>) -> Result<Self, Problem> {
+        let encoding = Encoding::accepted(&parts.headers)?;
+        Self::of(parts, encoding, state).await
+    }
+}
+
+impl Read {
+    /// Of a request whose Accept header was looked at.
+    pub(crate) async fn of(parts: &mut Parts, encoding: Encoding, state: &Arc<App>) -> Result<Self, Problem> {
         Ok(Self {
-            encoding: Encoding::accepted(&parts.headers)?,
+            encoding,
             coding: Coding::accepted(&parts.headers),
             target: target(parts, state).await?,
             preconditions: Preconditions::new(&parts.headers),
@@ -164,7 +172,7 @@ impl FromRequest<Arc<App>> for Change {
         Ok(Self {
             target,
             preconditions: Preconditions::new(&parts.headers),
-            key: Key::of(&parts.method, &parts.uri, &parts.headers, encoding, &body).transpose(),
+            key: Key::of(&parts.method, &parts.uri, &parts.headers, encoding, std::slice::from_ref(&body)).transpose(),
             encoding,
             coding: Coding::accepted(&parts.headers),
             body,

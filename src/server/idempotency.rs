@@ -7,6 +7,7 @@ use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use axum::body::Bytes;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, Uri, header};
 use sha2::{Digest, Sha256};
 
@@ -37,13 +38,13 @@ pub(crate) struct Key {
 }
 
 impl Key {
-    /// `None` without the header.
+    /// `None` without the header. The body may come in pieces.
     pub(crate) fn of(
         method: &Method,
         uri: &Uri,
         headers: &HeaderMap,
         answer: Encoding,
-        body: &[u8],
+        body: &[Bytes],
     ) -> Result<Option<Self>, Problem> {
         let mut names = headers.get_all(IDEMPOTENCY_KEY).iter();
         let Some(name) = names.next() else { return Ok(None) };
@@ -56,10 +57,13 @@ impl Key {
         for part in [method.as_str().as_bytes(), target.as_bytes(), answer.content_type().as_bytes()]
             .into_iter()
             .chain(headers.get_all(header::IF_MATCH).iter().map(HeaderValue::as_bytes))
-            .chain([body])
         {
             request.update((part.len() as u64).to_le_bytes());
             request.update(part);
+        }
+        request.update(body.iter().map(|piece| piece.len() as u64).sum::<u64>().to_le_bytes());
+        for piece in body {
+            request.update(piece);
         }
         Ok(Some(Self { name: Sha256::digest(name.as_bytes()).into(), request: request.finalize().into() }))
     }

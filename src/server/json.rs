@@ -22,21 +22,11 @@ use crate::world::World;
 pub(crate) trait WireReal: Real + Serialize + Element<Value = Self> {
     /// The tag of an array of these, little-endian (RFC 8746).
     const TYPED_ARRAY: u64;
-    const BYTES: u64;
-    /// Appends the bytes of such an array.
-    fn write_le(numbers: &[Self], into: &mut Vec<u8>);
     fn any_columns(world: World<Self>, columns: Columns<Self>) -> AnyColumns;
 }
 
 impl WireReal for f32 {
     const TYPED_ARRAY: u64 = 85;
-    const BYTES: u64 = 4;
-    fn write_le(numbers: &[Self], into: &mut Vec<u8>) {
-        let start = into.len();
-        into.resize(start + size_of_val(numbers), 0);
-        let bytes = into[start..].chunks_exact_mut(size_of::<Self>());
-        bytes.zip(numbers).for_each(|(bytes, number)| bytes.copy_from_slice(&number.to_le_bytes()));
-    }
     fn any_columns(world: World<Self>, columns: Columns<Self>) -> AnyColumns {
         AnyColumns::Single(world, columns)
     }
@@ -44,13 +34,6 @@ impl WireReal for f32 {
 
 impl WireReal for f64 {
     const TYPED_ARRAY: u64 = 86;
-    const BYTES: u64 = 8;
-    fn write_le(numbers: &[Self], into: &mut Vec<u8>) {
-        let start = into.len();
-        into.resize(start + size_of_val(numbers), 0);
-        let bytes = into[start..].chunks_exact_mut(size_of::<Self>());
-        bytes.zip(numbers).for_each(|(bytes, number)| bytes.copy_from_slice(&number.to_le_bytes()));
-    }
     fn any_columns(world: World<Self>, columns: Columns<Self>) -> AnyColumns {
         AnyColumns::Double(world, columns)
     }

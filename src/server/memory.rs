@@ -26,6 +26,13 @@ pub(crate) const NUMBER_BYTES: u64 = 26;
 /// and while that grows there are two of it, one of twice its size (thirteen were seen).
 pub(crate) const PARSED_BYTES: u64 = 16;
 
+/// What restoring a byte of a snapshot takes at most, the byte itself included: particles of single precision whose ids
+/// are far apart take four.
+pub(crate) const RESTORED_BYTES: u64 = 5;
+
+/// What a piece of a body takes besides its bytes.
+pub(crate) const PIECE_BYTES: u64 = 64;
+
 /// What an object in a body becomes: a particle with all of its properties.
 pub(crate) const OBJECT_BYTES: u64 = 256;
 

@@ -133,6 +133,7 @@ fn documented_routes() -> OpenApiRouter<Arc<App>> {
         .merge(routes::commands::routes())
         .merge(routes::trajectory::routes())
         .merge(routes::stream::routes())
+        .merge(routes::snapshot::routes())
         .merge(routes::service::routes())
 }
 

@@ -196,6 +196,13 @@ pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
     if matches!(method, "post" | "put" | "patch") {
         codes.extend([Code::InvalidField, Code::UnknownField, Code::DuplicateField, Code::NotFinite]);
     }
+    if operation == "restore_world" {
+        codes.retain(|code| {
+            let of_json =
+                [Code::MalformedJson, Code::InvalidField, Code::UnknownField, Code::DuplicateField, Code::NotFinite];
+            !of_json.contains(code)
+        });
+    }
     codes.extend(of_operation(operation));
     codes
 }
@@ -222,13 +229,20 @@ fn of_operation(operation: &str) -> Vec<Code> {
             codes.extend(serving);
             codes.extend([Code::MaxStepNotPositive, Code::NegativeValue]);
         }
+        "restore_world" => codes.extend([
+            Code::MalformedSnapshot,
+            Code::UnsupportedSnapshotVersion,
+            Code::PrecisionMismatch,
+            Code::InvalidWorldName,
+            Code::WorldExists,
+        ]),
         "create_particles" => {
             codes.extend(masses);
             codes.extend(properties);
             codes.push(Code::LengthMismatch);
         }
         "list_particles" => codes.extend([Code::UnknownParticle, Code::AnswerTooLarge]),
-        "read_state" => codes.push(Code::AnswerTooLarge),
+        "read_state" | "snapshot_world" => codes.push(Code::AnswerTooLarge),
         "set_particles" => {
             codes.extend(masses);
             codes.extend(properties);

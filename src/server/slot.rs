@@ -10,6 +10,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use axum::body::Bytes;
+use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use tokio::sync::{Notify, OwnedMutexGuard, OwnedSemaphorePermit};
 
@@ -169,14 +170,23 @@ impl Shared {
         body: Bytes,
         parse: impl FnOnce(&[u8]) -> Result<T, Problem> + Send + 'static,
     ) -> Result<T, Problem> {
-        if body.len() <= INLINE_BYTES {
-            return parse(&body);
+        self.run_on_bytes(body.len(), move || parse(&body)).await
+    }
+
+    /// The same with what takes as long as parsing so many bytes.
+    pub(crate) async fn run_on_bytes<T: Send + 'static>(
+        &self,
+        bytes: usize,
+        job: impl FnOnce() -> Result<T, Problem> + Send + 'static,
+    ) -> Result<T, Problem> {
+        if bytes <= INLINE_BYTES {
+            return job();
         }
         let place = self.short_places.take().await?;
         in_pool(move || {
-            let parsed = parse(&body);
+            let done = job();
             drop(place);
-            parsed
+            done
         })
         .await
     }
@@ -263,6 +273,14 @@ impl<R: WireReal> Slot<R> {
         Ok(())
     }
 
+    /// Charges the particles of a world that nobody else has yet.
+    pub(crate) fn charge_first(&self) -> Result<(), Problem> {
+        match self.world.try_lock() {
+            Ok(mut held) => held.charge.grow(self.particle_count() as u64 * PARTICLE_BYTES),
+            Err(_) => Ok(()),
+        }
+    }
+
     pub(crate) fn description(&self) -> Description<R> {
         self.description.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -303,7 +321,7 @@ impl<R: WireReal> Slot<R> {
         };
         let check = |world: &World<R>| {
             if let Err(problem) = &parsed
-                && problem.code == Code::MalformedJson
+                && problem.code.status() == StatusCode::BAD_REQUEST
             {
                 return Err(problem.clone());
             }

@@ -25,8 +25,8 @@ use crate::world::snapshot::{HEAD, MAGIC, PIECE, SnapshotError, VERSION};
 /// Ids are below this, which no world reaches; the digest relies on it.
 const ID_MAX: u64 = 1 << 60;
 
-/// A snapshot whose head is read: what it is of, before it is restored. It reads the source in pieces of up to 64 KiB, and
-/// a few bytes now and then.
+/// A snapshot whose head is read: what it is of, before it is restored. It reads the source in pieces of up to 64 KiB,
+/// and a few bytes now and then.
 ///
 /// ```
 /// use pointmass::{Limits, Precision, Snapshot, World};
@@ -107,8 +107,8 @@ impl<S: Read> Snapshot<S> {
             return Err(SnapshotError::Inconsistent("its clock is none"));
         }
         (world.clock, world.step_count) = (clock, step_count);
-        world.ids = reader.ids(next, count, len)?;
-        world.particles = reader.particles(&world, len)?;
+        *world.ids = reader.ids(next, count, len)?;
+        *world.particles = reader.particles(&world, len)?;
         reader.end()?;
         world.bounds = Bounds::of(&world.particles, world.gravity());
         if !world.bounds.hold_until::<R>(clock) {
@@ -125,6 +125,13 @@ impl<R: Real> World<R> {
     /// [`SnapshotError`].
     pub fn restore(source: impl Read, limits: Limits) -> Result<Self, SnapshotError> {
         Snapshot::open(source)?.restore(limits)
+    }
+
+    /// Another world in the place of this one, as one change of it.
+    #[cfg(feature = "server")]
+    pub(crate) fn replace_by(&mut self, other: Self) {
+        let threads = self.threads.clone();
+        *self = Self { revision: self.revision + 1, threads, ..other };
     }
 
     /// Refuses particles that are not finite at the clock, to which the closed form takes them.

@@ -68,6 +68,8 @@ fn every_route_of_the_contract_is_described() {
         "POST /v1/worlds/{world}/particles/{id}/impulse",
         "POST /v1/worlds/{world}/particles/{id}/place",
         "GET /v1/worlds/{world}/particles/{id}/trajectory",
+        "GET /v1/worlds/{world}/snapshot",
+        "PUT /v1/worlds/{world}/snapshot",
         "GET /v1/worlds/{world}/state",
     ]
     .map(str::to_owned)

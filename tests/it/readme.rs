@@ -61,6 +61,7 @@ fn its_tables_name_what_there_is() {
     }
     for (row, name, value) in [
         ("| bytes of a body | 64 MiB", "body_bytes_max", 64_i64 << 20),
+        ("| bytes of a snapshot to restore | 256 MiB", "snapshot_bytes_max", 256 << 20),
         ("| bytes of an answer | 256 MiB", "answer_bytes_max", 256 << 20),
         (
             "| bytes of all bodies, with what they are parsed into, and answers in flight | 2 GiB",

@@ -501,22 +501,25 @@ fn nesting_has_no_price() {
 #[test]
 fn every_code_is_seen() {
     let elsewhere = [
-        "malformed_request",         // connections.rs
-        "uri_too_long",              // connections.rs
-        "headers_too_large",         // connections.rs
-        "unauthorized",              // access.rs
-        "read_only_token",           // access.rs
-        "body_timeout",              // connections.rs
-        "body_too_large",            // above
-        "shutting_down",             // command_line.rs
-        "internal_error",            // src/server/mod.rs
-        "world_quarantined",         // src/server/slot.rs
-        "limit_reached",             // above
-        "answer_too_large",          // above
-        "overloaded",                // overload.rs
-        "idempotency_key_in_flight", // retries.rs
-        "idempotency_key_reused",    // retries.rs
-        "invalid_idempotency_key",   // retries.rs
+        "malformed_request",            // connections.rs
+        "malformed_snapshot",           // snapshot.rs
+        "unsupported_snapshot_version", // snapshot.rs
+        "precision_mismatch",           // snapshot.rs
+        "uri_too_long",                 // connections.rs
+        "headers_too_large",            // connections.rs
+        "unauthorized",                 // access.rs
+        "read_only_token",              // access.rs
+        "body_timeout",                 // connections.rs
+        "body_too_large",               // above
+        "shutting_down",                // command_line.rs
+        "internal_error",               // src/server/mod.rs
+        "world_quarantined",            // src/server/slot.rs
+        "limit_reached",                // above
+        "answer_too_large",             // above
+        "overloaded",                   // overload.rs
+        "idempotency_key_in_flight",    // retries.rs
+        "idempotency_key_reused",       // retries.rs
+        "invalid_idempotency_key",      // retries.rs
     ];
     let seen: HashSet<&str> =
         ROWS.iter().map(|row| row.4).chain(HEADERS.iter().map(|row| row.3)).chain(elsewhere).collect();

@@ -9,8 +9,10 @@ use pointmass::{
     Snapshot, SnapshotError, Until, World,
 };
 use proptest::prelude::*;
+use serde_json::Value;
 
 use crate::physics::{Random, in_steps, set};
+use crate::service::{Answer, Client, Service};
 
 const LIMITS: Limits = Limits { particles: 300, steps: 2000, particle_steps: 100_000, interactions: 1_000_000 };
 
@@ -391,7 +393,7 @@ fn check_forged<R: Real>(seed: u64) -> Result<(), TestCaseError> {
     for _ in 0..15 {
         for state in world.particles() {
             let (p, v): ([R; 3], [R; 3]) = (state.position.into(), state.velocity.into());
-            prop_assert!(p.into_iter().chain(v).all(|x| x.is_finite()), "{:?}", state);
+            prop_assert!(p.into_iter().chain(v).all(Real::is_finite), "{:?}", state);
         }
         let _may_be_refused = world.apply(&any_command(&world, random));
     }
@@ -406,4 +408,211 @@ proptest! {
         check_forged::<f32>(seed)?;
         check_forged::<f64>(seed)?;
     }
+}
+
+/// A scene over HTTP with forces that pend, gaps in the ids and bases of several times.
+fn scene(client: &mut Client, path: &str, settings: &str) {
+    client.put(path, settings).expect(201);
+    let particles = format!("{path}/particles");
+    client.post(&particles, "{\"count\":5,\"velocity\":[1,2,3],\"damping\":0.5}").expect(201);
+    client.post(&format!("{path}/advance"), "{\"duration\":0.5}").expect(200);
+    client.post(&particles, "[{\"mass\":2},{\"inverse_mass\":0}]").expect(201);
+    client.delete(&format!("{particles}/1")).expect(204);
+    client.post(&format!("{path}/advance"), "{\"duration\":0.25}").expect(200);
+    client.post(&format!("{particles}/5/force"), "{\"force\":[0.1,0,-8]}").expect(200);
+}
+
+fn digest(client: &mut Client, path: &str) -> Value {
+    client.get(&format!("{path}/digest")).expect(200).json()["digest"].clone()
+}
+
+fn upload(client: &mut Client, path: &str, headers: &[(&str, &str)], bytes: &[u8]) -> Answer {
+    client.send("PUT", &format!("{path}/snapshot"), headers, Some(bytes))
+}
+
+/// What must stay as it is when a request is refused.
+fn trace(client: &mut Client) -> Value {
+    let mut worlds = client.get("/v1/worlds").expect(200).json()["worlds"].clone();
+    for world in worlds.as_array_mut().expect("a list") {
+        let path = format!("/v1/worlds/{}", world["world"].as_str().expect("a name"));
+        world["digest"] = digest(client, &path);
+    }
+    worlds
+}
+
+#[test]
+fn a_clone_over_http_has_the_same_future() {
+    let service = Service::start();
+    let mut client = service.client();
+    for (n, settings) in [
+        "{\"gravity\":\"textbook\"}",
+        "{\"precision\":\"single\",\"integrator\":\"newton_euler\",\"max_step\":0.01}",
+        "{\"integrator\":\"rk4\",\"compensated\":true,\"forces\":{\"gravitation\":{\"softening\":0.1}}}",
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let (path, clone) = (format!("/v1/worlds/a{n}"), format!("/v1/worlds/b{n}"));
+        scene(&mut client, &path, settings);
+        let taken = client.get(&format!("{path}/snapshot")).expect(200);
+        assert_eq!(taken.header("content-type"), Some("application/octet-stream"));
+        assert_eq!(taken.header("etag"), Some("\"6\""));
+        let answer =
+            upload(&mut client, &clone, &[("content-type", "application/octet-stream")], &taken.body).expect(201);
+        assert_eq!((answer.header("location"), answer.header("etag")), (Some(clone.as_str()), Some("\"0\"")));
+        assert_eq!(answer.json(), client.get(&clone).expect(200).json());
+        assert_eq!(answer.json()["step_count"], client.get(&path).expect(200).json()["step_count"]);
+        assert_eq!(client.get(&format!("{clone}/snapshot")).expect(200).body, taken.body);
+        for duration in [0.5, 0.125] {
+            let advance = format!("{{\"duration\":{duration}}}");
+            let [mut one, mut other] =
+                [&path, &clone].map(|path| client.post(&format!("{path}/advance"), &advance).expect(200).json());
+            for report in [&mut one, &mut other] {
+                report["revision"] = Value::Null;
+            }
+            assert_eq!(one, other);
+            let [one, other] = [&path, &clone].map(|path| client.get(&format!("{path}/state")).expect(200).json());
+            assert_eq!(one, other);
+            assert_eq!(digest(&mut client, &path), digest(&mut client, &clone));
+        }
+        let unchanged = [("if-none-match", "\"8\"")];
+        client.send("GET", &format!("{path}/snapshot"), &unchanged, None).expect(304);
+    }
+}
+
+#[test]
+fn a_restored_world_replaces_the_one_there_is_as_one_change() {
+    let service = Service::start();
+    let mut client = service.client();
+    let path = "/v1/worlds/a";
+    scene(&mut client, path, "{\"gravity\":\"textbook\"}");
+    let (then, taken) = (digest(&mut client, path), client.get(&format!("{path}/snapshot")).expect(200).body);
+    client.post(&format!("{path}/advance"), "{\"duration\":1}").expect(200);
+    client.post(&format!("{path}/particles"), "{\"count\":9}").expect(201);
+    assert_eq!(upload(&mut client, path, &[("if-match", "\"7\"")], &taken).status, 412);
+    let answer = upload(&mut client, path, &[("if-match", "\"8\""), ("idempotency-key", "back")], &taken).expect(200);
+    assert_eq!((answer.header("etag"), answer.json()["revision"].as_u64()), (Some("\"9\""), Some(9)));
+    assert_eq!(answer.json(), client.get(path).expect(200).json());
+    assert_eq!(digest(&mut client, path), then);
+    assert_eq!(client.get("/v1/worlds").json()["worlds"][0], answer.json(), "the list knows it");
+    client.post(&format!("{path}/advance"), "{\"duration\":1}").expect(200);
+    let now = digest(&mut client, path);
+    let again = upload(&mut client, path, &[("if-match", "\"8\""), ("idempotency-key", "back")], &taken).expect(200);
+    assert_eq!((again.header("idempotency-replayed"), &again.body), (Some("true"), &answer.body));
+    assert_eq!(digest(&mut client, path), now, "it was done once");
+    let mut other = taken.clone();
+    other.pop();
+    assert_eq!(upload(&mut client, path, &[("idempotency-key", "back")], &other).status, 422);
+    // Into a new name with a key, twice.
+    let keyed = [("idempotency-key", "clone")];
+    let first = upload(&mut client, "/v1/worlds/b", &keyed, &taken).expect(201);
+    let second = upload(&mut client, "/v1/worlds/b", &keyed, &taken).expect(201);
+    assert_eq!((second.header("idempotency-replayed"), &second.body), (Some("true"), &first.body));
+}
+
+#[test]
+fn a_refused_snapshot_leaves_no_trace() {
+    let service = Service::with(|config| {
+        config.worlds_max = 3;
+        config.particles_max = 20;
+        config.memory_bytes_max = 256 * 25;
+        config.snapshot_bytes_max = 4000;
+    });
+    let mut client = service.client();
+    scene(&mut client, "/v1/worlds/a", "{}");
+    scene(&mut client, "/v1/worlds/single", "{\"precision\":\"single\"}");
+    let taken = client.get("/v1/worlds/a/snapshot").expect(200).body;
+    let many = |count| {
+        let mut world = World::<f64>::default();
+        world.apply(&Command::Create(NewParticles { count, ..NewParticles::default() })).expect("valid");
+        snapshot(&world)
+    };
+    let mut damaged = taken.clone();
+    damaged[200] ^= 1;
+    let mut later = taken.clone();
+    later[8] = 2;
+    let (cut, longer) = (taken[..taken.len() - 1].to_vec(), [&taken[..], &[0]].concat());
+    let before = trace(&mut client);
+    for (n, (body, status, code)) in [
+        (Vec::new(), 400, "malformed_snapshot"),
+        (b"{\"gravity\":\"textbook\"}".to_vec(), 400, "malformed_snapshot"),
+        (cut, 400, "malformed_snapshot"),
+        (longer, 400, "malformed_snapshot"),
+        (damaged, 400, "malformed_snapshot"),
+        (signed(later), 422, "unsupported_snapshot_version"),
+        (many(21), 422, "limit_reached"),
+        (many(18), 422, "limit_reached"),
+        (vec![7; 4001], 413, "body_too_large"),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        for path in ["/v1/worlds/a", "/v1/worlds/new"] {
+            let answer = upload(&mut service.client(), path, &[], &body);
+            assert_eq!((answer.status, &answer.json()["code"]), (status, &Value::from(code)), "{n}: {}", answer.text());
+            assert_eq!(trace(&mut client), before, "{n}: {path}");
+        }
+    }
+    for (path, headers, status, code) in [
+        ("/v1/worlds/single", &[][..], 422, "precision_mismatch"),
+        ("/v1/worlds/a", &[("content-type", "application/json")], 415, "unsupported_media_type"),
+        ("/v1/worlds/new", &[("content-type", "text/plain")], 415, "unsupported_media_type"),
+        ("/v1/worlds/new", &[("content-encoding", "gzip")], 415, "unsupported_media_type"),
+        ("/v1/worlds/a", &[("accept", "application/octet-stream")], 406, "not_acceptable"),
+        ("/v1/worlds/a", &[("if-match", "\"0\"")], 412, "revision_mismatch"),
+        ("/v1/worlds/new", &[("if-match", "*")], 412, "revision_mismatch"),
+        ("/v1/worlds/-", &[], 422, "invalid_world_name"),
+        ("/v1/worlds/new", &[("idempotency-key", "")], 422, "invalid_idempotency_key"),
+    ] {
+        let answer = upload(&mut service.client(), path, headers, &taken);
+        assert_eq!((answer.status, &answer.json()["code"]), (status, &Value::from(code)), "{path} {headers:?}");
+        assert_eq!(trace(&mut client), before, "{path} {headers:?}");
+    }
+    let asked = client.send("PUT", "/v1/worlds/new/snapshot?x=1", &[], Some(&taken));
+    assert_eq!(asked.status, 422, "{}", asked.text());
+    for (path, accept, status) in
+        [("nowhere", "*/*", 404), ("a", "application/json", 406), ("a", "application/octet-stream", 200)]
+    {
+        let answer = client.send("GET", &format!("/v1/worlds/{path}/snapshot"), &[("accept", accept)], None);
+        assert_eq!(answer.status, status, "{path} {accept}");
+    }
+    // Cut short by the client.
+    let head =
+        format!("PUT /v1/worlds/new/snapshot HTTP/1.1\r\nhost: localhost\r\ncontent-length: {}\r\n\r\n", taken.len());
+    let mut leaving = service.client();
+    leaving.raw(&[head.as_bytes(), &taken[..100]].concat());
+    drop(leaving);
+    assert_eq!(trace(&mut client), before);
+    upload(&mut client, "/v1/worlds/b", &[], &taken).expect(201);
+    let full = upload(&mut client, "/v1/worlds/c", &[], &taken);
+    assert_eq!((full.status, &full.json()["code"]), (422, &Value::from("limit_reached")));
+}
+
+/// In pieces of a few bytes, and large enough for the compute pool.
+#[test]
+fn a_snapshot_that_comes_in_pieces_is_restored() {
+    let service = Service::start();
+    let mut client = service.client();
+    let mut world = World::<f64>::default();
+    let random = &mut Random(5);
+    let position = Column::PerParticle((0..3000).map(|_| random.vector(9.0).into()).collect());
+    world.apply(&Command::Create(NewParticles { count: 3000, position, ..NewParticles::default() })).expect("valid");
+    let bytes = snapshot(&world);
+    let mut request =
+        b"PUT /v1/worlds/a/snapshot HTTP/1.1\r\nhost: localhost\r\nidempotency-key: k\r\ntransfer-encoding: chunked\r\n\r\n"
+            .to_vec();
+    for piece in bytes.chunks(777) {
+        request.extend(format!("{:x}\r\n", piece.len()).bytes());
+        request.extend(piece.iter().chain(b"\r\n"));
+    }
+    request.extend(b"0\r\n\r\n");
+    client.raw(&request);
+    assert_eq!(client.answer(false).status, 201);
+    assert_eq!(digest(&mut client, "/v1/worlds/a"), world.digest().to_string());
+    assert_eq!(client.get("/v1/worlds/a/snapshot").expect(200).body, bytes);
+    // The same to the byte, in one piece.
+    let again = upload(&mut client, "/v1/worlds/a", &[("idempotency-key", "k")], &bytes).expect(201);
+    assert_eq!(again.header("idempotency-replayed"), Some("true"));
+    let plain = [("content-type", "application/x-www-form-urlencoded")];
+    upload(&mut client, "/v1/worlds/a", &plain, &bytes).expect(200);
 }

@@ -5,6 +5,7 @@ pub(crate) mod commands;
 pub(crate) mod forces;
 pub(crate) mod particles;
 pub(crate) mod service;
+pub(crate) mod snapshot;
 pub(crate) mod stream;
 pub(crate) mod trajectory;
 pub(crate) mod worlds;

@@ -64,6 +64,7 @@ struct ServiceLimits {
     #[schema(required)]
     duration_max: Option<f64>,
     body_bytes_max: usize,
+    snapshot_bytes_max: usize,
     answer_bytes_max: u64,
     in_flight_bytes_max: u64,
     world_queue_max: usize,
@@ -119,6 +120,7 @@ async fn describe_service(State(app): State<Arc<App>>, read: Read) -> Result<Res
             interactions_max: config.interactions_max,
             duration_max: config.duration_max,
             body_bytes_max: config.body_bytes_max,
+            snapshot_bytes_max: config.snapshot_bytes_max,
             answer_bytes_max: config.answer_bytes_max,
             in_flight_bytes_max: config.in_flight_bytes_max,
             world_queue_max: config.world_queue_max,

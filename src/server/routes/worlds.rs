@@ -222,10 +222,7 @@ fn create(app: &App, name: &str, change: &Change) -> Result<Response, Problem> {
     change.preconditions.check_absent()?;
     let Object(body) = parsed?;
     change.query::<NoParameters>()?;
-    if !is_world_name(name) {
-        let detail = format!("{name:?} is not a name: a letter or digit and then up to 63 letters, digits, _ or -");
-        return Err(Problem::new(Code::InvalidWorldName, detail));
-    }
+    check_name(name)?;
     match body.precision.map_or(Precision::default(), |Named(precision)| precision) {
         Precision::Single => insert(app, name, key, change.encoding, &body, AnySlot::Single),
         Precision::Double => insert(app, name, key, change.encoding, &body, AnySlot::Double),
@@ -261,16 +258,27 @@ fn insert<R: WireReal>(
     }
     app.worlds.insert(name, any(Arc::new(slot))).map_err(|refused| match refused {
         Refused::Exists => world_exists(name),
-        Refused::Full => {
-            let detail = format!("there are {} worlds, the most allowed (--{WORLDS_MAX})", app.config.worlds_max);
-            Problem::new(Code::LimitReached, detail)
-        }
+        Refused::Full => too_many_worlds(app),
     })?;
     Ok(reply.into_response())
 }
 
+pub(crate) fn too_many_worlds(app: &App) -> Problem {
+    let detail = format!("there are {} worlds, the most allowed (--{WORLDS_MAX})", app.config.worlds_max);
+    Problem::new(Code::LimitReached, detail)
+}
+
 fn world_exists(name: &str) -> Problem {
     Problem::new(Code::WorldExists, format!("there is a world {name:?} already"))
+}
+
+/// Refuses what is no name.
+pub(crate) fn check_name(name: &str) -> Result<(), Problem> {
+    if is_world_name(name) {
+        return Ok(());
+    }
+    let detail = format!("{name:?} is not a name: a letter or digit and then up to 63 letters, digits, _ or -");
+    Err(Problem::new(Code::InvalidWorldName, detail))
 }
 
 fn is_world_name(name: &str) -> bool {
