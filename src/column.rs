@@ -86,6 +86,20 @@ impl<T: Copy + PartialEq> Column<T> {
         }
     }
 
+    /// Appends one to `len` values; stays uniform while all are the same.
+    pub(crate) fn push(&mut self, len: usize, value: T, is_same: impl Fn(&T, &T) -> bool) {
+        match self {
+            Self::Uniform(uniform) if len == 0 => *uniform = value,
+            Self::Uniform(uniform) if is_same(uniform, &value) => {}
+            Self::Uniform(uniform) => {
+                let mut values = vec![*uniform; len];
+                values.push(value);
+                *self = Self::PerParticle(values);
+            }
+            Self::PerParticle(values) => values.push(value),
+        }
+    }
+
     /// Appends the first `count` values of `other` to a column of `len` values.
     pub(crate) fn extend(&mut self, len: usize, other: &Self, count: usize) {
         if count == 0 {
@@ -160,6 +174,14 @@ mod tests {
         column.extend(3, &Column::Uniform(7.0), 1);
         column.swap_remove(0);
         assert_eq!(column, Column::PerParticle(vec![7.0, 5.0, 2.0]));
+        let mut column = Column::Uniform(1.0);
+        for (len, value) in [0.0, -0.0, 0.0].into_iter().enumerate() {
+            column.push(len, value, PartialEq::eq);
+        }
+        assert_eq!(column, Column::Uniform(0.0));
+        column.push(3, 2.0, PartialEq::eq);
+        column.push(4, 0.0, PartialEq::eq);
+        assert_eq!(column, Column::PerParticle(vec![0.0, 0.0, 0.0, 2.0, 0.0]));
         let mut column = Column::Uniform(2.0);
         column.extend(1, &Column::PerParticle(vec![3.0, 4.0]), 2);
         assert_eq!(Column::PerParticle(vec![3.0, 4.0]).collapsed(), Column::PerParticle(vec![3.0, 4.0]));

@@ -205,20 +205,31 @@ impl<R: Real> From<Particle<R>> for NewParticles<R> {
     }
 }
 
+impl<R: Real> NewParticles<R> {
+    /// One more.
+    pub(crate) fn push(&mut self, particle: Particle<R>) {
+        // A zero keeps its sign in position and velocity, and nowhere else.
+        let same = |a: &R::Vec3, b: &R::Vec3| {
+            let (a, b): ([R; 3], [R; 3]) = ((*a).into(), (*b).into());
+            a.iter().zip(b).all(|(a, b)| *a == b && R::ONE / *a == R::ONE / b)
+        };
+        let len = self.count;
+        self.position.push(len, particle.position, same);
+        self.velocity.push(len, particle.velocity, same);
+        self.acceleration.push(len, particle.acceleration, PartialEq::eq);
+        self.damping.push(len, particle.damping, PartialEq::eq);
+        self.mass.push(len, particle.mass, PartialEq::eq);
+        self.drag.push(len, particle.drag, PartialEq::eq);
+        self.gravitational_mass.push(len, particle.gravitational_mass, PartialEq::eq);
+        self.count += 1;
+    }
+}
+
 impl<R: Real> FromIterator<Particle<R>> for NewParticles<R> {
     fn from_iter<I: IntoIterator<Item = Particle<R>>>(particles: I) -> Self {
-        let particles: Vec<Particle<R>> = particles.into_iter().collect();
-        Self {
-            count: particles.len(),
-            position: Column::PerParticle(particles.iter().map(|p| p.position).collect()),
-            velocity: Column::PerParticle(particles.iter().map(|p| p.velocity).collect()),
-            acceleration: Column::PerParticle(particles.iter().map(|p| p.acceleration).collect()),
-            damping: Column::PerParticle(particles.iter().map(|p| p.damping).collect()),
-            mass: Column::PerParticle(particles.iter().map(|p| p.mass).collect()),
-            drag: Column::PerParticle(particles.iter().map(|p| p.drag).collect()).collapsed(),
-            gravitational_mass: Column::PerParticle(particles.iter().map(|p| p.gravitational_mass).collect())
-                .collapsed(),
-        }
+        let mut new = Self::default();
+        particles.into_iter().for_each(|particle| new.push(particle));
+        new
     }
 }
 
