@@ -6,6 +6,7 @@ use minicbor::Encoder;
 use minicbor::data::Tag;
 use serde::{Serialize, Serializer};
 
+use crate::server::memory::{CBOR_BYTES, PARSED_BYTES};
 use crate::server::problem::{Code, Problem};
 
 /// How an answer is written.
@@ -24,6 +25,22 @@ impl Encoding {
         match self {
             Self::Json => "application/json",
             Self::Cbor => "application/cbor",
+        }
+    }
+
+    /// The refusal of a body that is not in it.
+    pub(crate) fn malformed(self) -> Code {
+        match self {
+            Self::Json => Code::MalformedJson,
+            Self::Cbor => Code::MalformedCbor,
+        }
+    }
+
+    /// What a byte of a body takes, besides what [`Body::parsed_bytes`] says.
+    pub(crate) fn byte_bytes(self) -> u64 {
+        match self {
+            Self::Json => PARSED_BYTES,
+            Self::Cbor => CBOR_BYTES,
         }
     }
 

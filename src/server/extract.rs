@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use axum::body::{Body, Bytes};
+use axum::body::Bytes;
 use axum::extract::{FromRequest, FromRequestParts, Query, RawPathParams, Request};
 use axum::http::request::Parts;
-use axum::http::{HeaderMap, Uri, header};
+use axum::http::{HeaderMap, HeaderValue, Uri, header};
 use http_body_util::{BodyExt, Limited};
 use hyper::body::Frame;
 use mediatype::{MediaType, names};
@@ -13,11 +13,12 @@ use serde::de::DeserializeOwned;
 
 use crate::ids::ParticleId;
 use crate::server::App;
+use crate::server::body::Body;
 use crate::server::coding::Coding;
 use crate::server::config::{BODY_BYTES_MAX, PAGE_DEFAULT, PAGE_MAX, SMALL_BODY_BYTES_MAX};
 use crate::server::encoding::Encoding;
 use crate::server::idempotency::Key;
-use crate::server::memory::{Charge, OBJECT_BYTES, PARSED_BYTES, objects};
+use crate::server::memory::Charge;
 use crate::server::problem::{Code, Problem};
 
 /// The names in the path.
@@ -63,7 +64,7 @@ pub(crate) struct Change {
     /// That of the answer.
     pub(crate) encoding: Encoding,
     pub(crate) coding: Option<Coding>,
-    pub(crate) body: Bytes,
+    pub(crate) body: Body,
     pub(crate) uri: Uri,
     /// For the body, and what it is parsed into.
     #[expect(dead_code, reason = "lives as long as the request")]
@@ -72,10 +73,11 @@ pub(crate) struct Change {
 
 impl Change {
     /// Commands that came over a WebSocket.
-    pub(crate) fn of_frame(app: &App, target: Target, body: Bytes, encoding: Encoding) -> Result<Self, Problem> {
+    pub(crate) fn of_frame(app: &App, target: Target, body: Body) -> Result<Self, Problem> {
         let mut charge = Charge::none(&app.shared.in_flight);
-        charge.grow(body.len() as u64 * PARSED_BYTES + objects(&body).min(app.config.objects_max()) * OBJECT_BYTES)?;
-        Ok(Self { target, encoding, body, charge: Some(charge), ..Self::default() })
+        charge.grow(body.bytes.len() as u64 * body.encoding.byte_bytes())?;
+        charge.grow(body.parsed_bytes(app.config.objects_max()))?;
+        Ok(Self { target, encoding: body.encoding, body, charge: Some(charge), ..Self::default() })
     }
 }
 
@@ -87,7 +89,7 @@ impl Read {
 
 impl Change {
     /// The part of a request for many worlds that one of them gets.
-    pub(crate) fn of_world(&self, name: &str, body: Bytes) -> Self {
+    pub(crate) fn of_world(&self, name: &str, body: Body) -> Self {
         let target = Target { world: name.to_owned(), particle: None };
         Self { target, key: self.key.clone(), encoding: self.encoding, body, ..Self::default() }
     }
@@ -151,29 +153,32 @@ impl FromRequest<Arc<App>> for Change {
 
     async fn from_request(request: Request, state: &Arc<App>) -> Result<Self, Problem> {
         let (mut parts, body) = request.into_parts();
-        let encoding = Encoding::accepted(&parts.headers)?;
-        check_content(&parts.headers)?;
+        let answer = Encoding::accepted(&parts.headers)?;
+        let encoding = check_content(&parts.headers)?;
         let target = target(&mut parts, state).await?;
         // Only what can speak of many particles has a large body.
         let is_bulk = ["/particles", "/forces", "/commands"].iter().any(|end| parts.uri.path().ends_with(end));
         let limit = state.config.body_bytes_max;
         let limit = if is_bulk { limit } else { limit.min(SMALL_BODY_BYTES_MAX) };
         let mut charge = Charge::none(&state.shared.in_flight);
-        let body =
-            tokio::time::timeout(state.config.body_timeout(), read_body(&parts.headers, body, limit, &mut charge));
-        let body = body.await.map_err(|_| {
+        let body = read_body(&parts.headers, body, encoding, limit, &mut charge);
+        let bytes = tokio::time::timeout(state.config.body_timeout(), body).await.map_err(|_| {
             let timeout = state.config.body_timeout_ms;
             Problem::new(Code::BodyTimeout, format!("the body did not arrive within {timeout} ms"))
         })??;
-        if is_bulk {
-            // More of them are refused before they are parsed.
-            charge.grow(objects(&body).min(state.config.objects_max()) * OBJECT_BYTES)?;
+        let body = Body { bytes, encoding };
+        // A small one in JSON is charged for already.
+        if is_bulk || encoding == Encoding::Cbor {
+            let objects_max = state.config.objects_max();
+            let parsed = state.shared.parse(body.clone(), move |body| Ok(body.parsed_bytes(objects_max)));
+            charge.grow(parsed.await?)?;
         }
         Ok(Self {
             target,
             preconditions: Preconditions::new(&parts.headers),
-            key: Key::of(&parts.method, &parts.uri, &parts.headers, encoding, std::slice::from_ref(&body)).transpose(),
-            encoding,
+            key: Key::of(&parts.method, &parts.uri, &parts.headers, answer, std::slice::from_ref(&body.bytes))
+                .transpose(),
+            encoding: answer,
             coding: Coding::accepted(&parts.headers),
             body,
             uri: parts.uri,
@@ -202,26 +207,32 @@ fn canonical_id(text: &str) -> Option<ParticleId> {
 }
 
 /// Reads a body within its limit, and charges it before it is there where its length is declared.
-async fn read_body(headers: &HeaderMap, body: Body, limit: usize, charge: &mut Charge) -> Result<Bytes, Problem> {
+async fn read_body(
+    headers: &HeaderMap,
+    body: axum::body::Body,
+    encoding: Encoding,
+    limit: usize,
+    charge: &mut Charge,
+) -> Result<Bytes, Problem> {
     let too_large =
         || Problem::new(Code::BodyTooLarge, format!("the body is larger than {limit} bytes (--{BODY_BYTES_MAX})"));
     let declared = headers.get(header::CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse::<usize>().ok());
     if declared.is_some_and(|length| length > limit) {
         return Err(too_large());
     }
-    charge.grow(declared.unwrap_or(0) as u64 * PARSED_BYTES)?;
+    charge.grow(declared.unwrap_or(0) as u64 * encoding.byte_bytes())?;
     let mut body = Limited::new(body, limit);
     let mut parts = Vec::new();
     while let Some(frame) = body.frame().await {
         match frame.map(Frame::into_data) {
             Ok(Ok(data)) => {
-                charge.grow(if declared.is_none() { data.len() as u64 * PARSED_BYTES } else { 0 })?;
+                charge.grow(if declared.is_none() { data.len() as u64 * encoding.byte_bytes() } else { 0 })?;
                 parts.push(data);
             }
             // Trailers say nothing here.
             Ok(Err(_)) => {}
             Err(error) if error.is::<http_body_util::LengthLimitError>() => return Err(too_large()),
-            Err(_) => return Err(Problem::new(Code::MalformedJson, "the body was cut short")),
+            Err(_) => return Err(Problem::new(encoding.malformed(), "the body was cut short")),
         }
     }
     Ok(match parts.len() {
@@ -230,32 +241,38 @@ async fn read_body(headers: &HeaderMap, body: Body, limit: usize, charge: &mut C
     })
 }
 
-/// A JSON body may say so, say nothing, or come from a plain `curl -d`.
-fn check_content(headers: &HeaderMap) -> Result<(), Problem> {
+/// A body in CBOR says so; one in JSON may say so, say nothing, or come from a plain `curl -d`.
+fn check_content(headers: &HeaderMap) -> Result<Encoding, Problem> {
     let unsupported = |detail: String| Err(Problem::new(Code::UnsupportedMediaType, detail));
     if let Some(encoding) = headers.get(header::CONTENT_ENCODING)
         && !encoding.as_bytes().eq_ignore_ascii_case(b"identity")
     {
         return unsupported(format!("a body with Content-Encoding {encoding:?} is not read; send it as it is"));
     }
-    let Some(content_type) = headers.get(header::CONTENT_TYPE) else { return Ok(()) };
+    let Some(content_type) = headers.get(header::CONTENT_TYPE) else { return Ok(Encoding::Json) };
     // What nearly all of them are needs no parsing.
     if content_type.is_empty() || content_type == "application/json" {
-        return Ok(());
+        return Ok(Encoding::Json);
     }
     let text = content_type.to_str().unwrap_or_default();
-    let readable = MediaType::parse(text).is_ok_and(|media| {
-        media.ty == names::TEXT
-            || (media.ty == names::APPLICATION
-                && (media.subty == names::JSON
-                    || media.suffix == Some(names::JSON)
-                    || media.subty == "x-www-form-urlencoded"))
-    });
-    if readable {
-        Ok(())
-    } else {
-        unsupported(format!("a body of type {content_type:?} is not read; send application/json"))
+    match MediaType::parse(text) {
+        Ok(media) if media.ty == names::TEXT => Ok(Encoding::Json),
+        Ok(media) if media.ty == names::APPLICATION => {
+            let is = |name| media.subty == name || media.suffix == Some(name);
+            if is(names::CBOR) {
+                Ok(Encoding::Cbor)
+            } else if is(names::JSON) || media.subty == "x-www-form-urlencoded" {
+                Ok(Encoding::Json)
+            } else {
+                unsupported(unread(content_type))
+            }
+        }
+        Ok(_) | Err(_) => unsupported(unread(content_type)),
     }
+}
+
+fn unread(content_type: &HeaderValue) -> String {
+    format!("a body of type {content_type:?} is not read; send application/json or application/cbor")
 }
 
 /// If-Match and If-None-Match.
@@ -321,7 +338,7 @@ pub(crate) fn etag(revision: u64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::check_content;
+    use super::{Encoding, check_content};
     use axum::http::{HeaderMap, HeaderName, HeaderValue, header};
 
     fn headers(name: HeaderName, value: &'static str) -> HeaderMap {
@@ -329,21 +346,28 @@ mod tests {
     }
 
     #[test]
-    fn content_types_that_are_read_as_json() {
-        for (content_type, read) in [
-            ("application/json", true),
-            ("application/json; charset=utf-8", true),
-            ("application/merge-patch+json", true),
-            ("text/plain", true),
-            ("application/x-www-form-urlencoded", true),
-            ("APPLICATION/JSON", true),
-            ("application/cbor", false),
-            ("application/octet-stream", false),
-            ("multipart/form-data; boundary=x", false),
-            ("nonsense", false),
+    fn content_types_that_are_read() {
+        use Encoding::{Cbor, Json};
+        for (content_type, encoding) in [
+            ("application/json", Some(Json)),
+            ("application/json; charset=utf-8", Some(Json)),
+            ("application/merge-patch+json", Some(Json)),
+            ("text/plain", Some(Json)),
+            ("application/x-www-form-urlencoded", Some(Json)),
+            ("APPLICATION/JSON", Some(Json)),
+            ("application/cbor", Some(Cbor)),
+            ("Application/CBOR; q=1", Some(Cbor)),
+            ("application/vnd.scene+cbor", Some(Cbor)),
+            ("application/cbor-seq", None),
+            ("image/cbor", None),
+            ("application/octet-stream", None),
+            ("multipart/form-data; boundary=x", None),
+            ("nonsense", None),
         ] {
-            assert_eq!(check_content(&headers(header::CONTENT_TYPE, content_type)).is_ok(), read, "{content_type}");
+            let read = check_content(&headers(header::CONTENT_TYPE, content_type));
+            assert_eq!(read.ok(), encoding, "{content_type}");
         }
+        assert_eq!(check_content(&HeaderMap::new()).ok(), Some(Json));
         assert!(check_content(&headers(header::CONTENT_ENCODING, "gzip")).is_err());
     }
 }

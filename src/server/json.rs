@@ -12,6 +12,7 @@ use utoipa::openapi::schema::{ObjectBuilder, Schema, Type};
 use crate::column::Column;
 use crate::forces::Drag;
 use crate::real::Real;
+use crate::server::body::Raw;
 use crate::server::columns::Columns;
 use crate::server::content::AnyColumns;
 use crate::server::problem::{Code, Problem};
@@ -19,7 +20,7 @@ use crate::world::World;
 
 /// A number type that JSON can carry: read from its digits straight into its precision, written with the fewest digits
 /// that read back as the same number.
-pub(crate) trait WireReal: Real + Serialize + Element<Value = Self> {
+pub(crate) trait WireReal: Real + Serialize + Element<Value = Self, Number = Self> {
     /// The tag of an array of these, little-endian (RFC 8746).
     const TYPED_ARRAY: u64;
     fn any_columns(world: World<Self>, columns: Columns<Self>) -> AnyColumns;
@@ -39,14 +40,14 @@ impl WireReal for f64 {
     }
 }
 
-/// Reads a body; what is not JSON at all is [`Code::MalformedJson`], what is the wrong JSON says where.
-pub(crate) fn parse<'a, T: Deserialize<'a>>(body: &'a [u8]) -> Result<T, Problem> {
-    let text = std::str::from_utf8(body)
-        .map_err(|error| Problem::new(Code::MalformedJson, format!("the body is not UTF-8: {error}")))?;
-    parse_part(text, "")
+/// The text of a body.
+pub(crate) fn text(body: &[u8]) -> Result<&str, Problem> {
+    std::str::from_utf8(body)
+        .map_err(|error| Problem::new(Code::MalformedJson, format!("the body is not UTF-8: {error}")))
 }
 
-/// Reads one value out of a body that was seen to be JSON; `prefix` is the pointer to it.
+/// Reads one value; `prefix` is the pointer to it. What is not JSON at all is [`Code::MalformedJson`], what is the wrong
+/// JSON says where.
 pub(crate) fn parse_part<'a, T: Deserialize<'a>>(text: &'a str, prefix: &str) -> Result<T, Problem> {
     // Keeping track of the path costs a third on large bodies, so it is kept only to explain a failure.
     serde_json::from_str(text).or_else(|_| {
@@ -58,7 +59,8 @@ pub(crate) fn parse_part<'a, T: Deserialize<'a>>(text: &'a str, prefix: &str) ->
     })
 }
 
-fn explain(error: &serde_path_to_error::Error<serde_json::Error>, prefix: &str) -> Problem {
+/// What is wrong, and where; `prefix` is the pointer to what was read.
+pub(crate) fn explain<E: fmt::Display>(error: &serde_path_to_error::Error<E>, prefix: &str) -> Problem {
     let mut detail = error.inner().to_string();
     // Inside a part, line and column would be those of the part.
     if !prefix.is_empty()
@@ -171,69 +173,118 @@ impl<'de, R: WireReal, const N: usize> Deserialize<'de> for Numbers<R, N> {
     }
 }
 
-/// The values of a column, as they stand in JSON.
+/// The values of a column, as they stand in a body.
 pub(crate) trait Element: DeserializeOwned {
     /// What it is in the engine.
     type Value: Copy + PartialEq;
-    /// Whether one value alone is a list, so that a list of values is a list of lists.
-    const IS_LIST: bool;
+    /// Its numbers.
+    type Number: Real;
+    /// How many; with several, one value alone is a list, so that a list of values is a list of lists.
+    const NUMBERS: usize;
     fn value(self) -> Self::Value;
+    /// The value with these numbers.
+    fn of(number: impl Fn(usize) -> Self::Number) -> Self::Value;
 }
 
 impl Element for f32 {
     type Value = f32;
-    const IS_LIST: bool = false;
+    type Number = f32;
+    const NUMBERS: usize = 1;
     fn value(self) -> f32 {
         self
+    }
+    fn of(number: impl Fn(usize) -> f32) -> f32 {
+        number(0)
     }
 }
 
 impl Element for f64 {
     type Value = f64;
-    const IS_LIST: bool = false;
+    type Number = f64;
+    const NUMBERS: usize = 1;
     fn value(self) -> f64 {
         self
+    }
+    fn of(number: impl Fn(usize) -> f64) -> f64 {
+        number(0)
     }
 }
 
 impl<R: WireReal> Element for Vector<R> {
     type Value = R::Vec3;
-    const IS_LIST: bool = true;
+    type Number = R;
+    const NUMBERS: usize = 3;
     fn value(self) -> R::Vec3 {
         self.0.into()
+    }
+    fn of(number: impl Fn(usize) -> R) -> R::Vec3 {
+        [number(0), number(1), number(2)].into()
     }
 }
 
 impl<R: WireReal> Element for DragPair<R> {
     type Value = Drag<R>;
-    const IS_LIST: bool = true;
+    type Number = R;
+    const NUMBERS: usize = 2;
     fn value(self) -> Drag<R> {
         let Numbers([k1, k2]) = self;
         Drag { k1, k2 }
+    }
+    fn of(number: impl Fn(usize) -> R) -> Drag<R> {
+        Drag { k1: number(0), k2: number(1) }
     }
 }
 
 impl<E: Element> Element for Option<E> {
     type Value = Option<E::Value>;
-    const IS_LIST: bool = E::IS_LIST;
+    type Number = E::Number;
+    const NUMBERS: usize = E::NUMBERS;
     fn value(self) -> Option<E::Value> {
         self.map(Element::value)
     }
+    fn of(number: impl Fn(usize) -> E::Number) -> Option<E::Value> {
+        Some(E::of(number))
+    }
 }
 
+/// A list, read straight into what it is in the engine.
+struct Values<E: Element>(Vec<E::Value>);
+
+impl<'de, E: Element> Deserialize<'de> for Values<E> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct List<E>(PhantomData<E>);
+        impl<'de, E: Element> Visitor<'de> for List<E> {
+            type Value = Values<E>;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a list")
+            }
+            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Self::Value, A::Error> {
+                let mut values = Vec::with_capacity(list.size_hint().unwrap_or(0).min(LISTED_MAX));
+                while let Some(value) = list.next_element::<E>()? {
+                    values.push(value.value());
+                }
+                Ok(Values(values))
+            }
+        }
+        deserializer.deserialize_seq(List(PhantomData))
+    }
+}
+
+/// The most values for which there is room before they are read.
+const LISTED_MAX: usize = 1 << 12;
+
 /// A column: one value for all, or a list with one for each.
-pub(crate) fn column<E: Element>(text: &str, field: &str) -> Result<Column<E::Value>, Problem> {
+pub(crate) fn column<E: Element>(raw: Raw<'_>, field: &str) -> Result<Column<E::Value>, Problem> {
     let prefix = format!("/{field}");
-    let inside = text.trim_start().strip_prefix('[').map(str::trim_start);
-    let is_list = match inside {
-        None => false,
-        Some(inside) => !E::IS_LIST || inside.starts_with(['[', 'n', ']']),
-    };
+    if let Some(array) = raw.typed_array() {
+        return array.column::<E>().map_err(|detail| Problem::at(Code::InvalidField, prefix, detail));
+    }
+    let is_list = if E::NUMBERS > 1 { raw.is_list_of_lists() } else { raw.is_list() };
     if is_list {
-        let values: Vec<E> = parse_part(text, &prefix)?;
-        Ok(Column::PerParticle(values.into_iter().map(E::value).collect()))
+        let Values(values) = raw.read::<Values<E>>(&prefix)?;
+        Ok(Column::PerParticle(values))
     } else {
-        Ok(Column::Uniform(parse_part::<E>(text, &prefix)?.value()))
+        Ok(Column::Uniform(raw.read::<E>(&prefix)?.value()))
     }
 }
 
@@ -281,11 +332,19 @@ impl<T: Choice> Serialize for Named<T> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Code, DragPair, Object, Vector, column, parse};
+    use super::{Code, DragPair, Element, Object, Problem, Raw, Vector, parse_part, text};
     use crate::column::Column;
     use crate::forces::Drag;
     use proptest::prelude::*;
     use serde::Deserialize;
+
+    fn parse<'a, T: Deserialize<'a>>(body: &'a [u8]) -> Result<T, Problem> {
+        parse_part(text(body)?, "")
+    }
+
+    fn column<E: Element>(text: &str, field: &str) -> Result<Column<E::Value>, Problem> {
+        super::column::<E>(Raw::Json(text), field)
+    }
 
     #[derive(Debug, Deserialize)]
     #[serde(deny_unknown_fields)]

@@ -22,7 +22,7 @@ pub(crate) const COMPARED_BYTES: u64 = 48;
 /// The longest number in JSON, with what separates it from the next.
 pub(crate) const NUMBER_BYTES: u64 = 26;
 
-/// What reading a byte of a body as JSON takes at most, the byte itself included: `1,` becomes eight bytes of a column,
+/// What reading a byte of a body in JSON takes at most, the byte itself included: `1,` becomes eight bytes of a column,
 /// and while that grows there are two of it, one of twice its size (thirteen were seen).
 pub(crate) const PARSED_BYTES: u64 = 16;
 
@@ -33,10 +33,20 @@ pub(crate) const RESTORED_BYTES: u64 = 5;
 /// What a piece of a body takes besides its bytes.
 pub(crate) const PIECE_BYTES: u64 = 64;
 
+/// What a byte of a body in CBOR takes: itself, and once more while its parts are joined.
+pub(crate) const CBOR_BYTES: u64 = 2;
+
+/// What a number in CBOR takes at most where it is not in a typed array: 16 bytes of a column, three times while that
+/// grows.
+pub(crate) const NUMBER_ITEM_BYTES: u64 = 48;
+
+/// What a list, a null or a text in CBOR takes at most: a vector that may be absent, the same way.
+pub(crate) const ITEM_BYTES: u64 = 96;
+
 /// What an object in a body becomes: a particle with all of its properties.
 pub(crate) const OBJECT_BYTES: u64 = 256;
 
-/// At least as many as there are objects in a body.
+/// At least as many as there are objects in JSON.
 pub(crate) fn objects(body: &[u8]) -> u64 {
     body.iter().map(|byte| u64::from(*byte == b'{')).sum()
 }

@@ -1,9 +1,11 @@
-//! The HTTP service: worlds behind names, JSON in and out. The only part of the crate that knows the network.
+//! The HTTP service: worlds behind names, JSON or CBOR in, JSON out. The only part of the crate that knows the network.
 //!
 //! [`Config`] says how, [`App`] holds the worlds, [`service`] is it as a function of requests, [`serve`] puts
 //! it behind [`Listener`]s.
 
 mod access;
+mod body;
+mod cbor;
 mod coding;
 mod columns;
 mod config;

@@ -115,6 +115,9 @@ fn complete(path: &str, method: &str, operation: &mut Operation) {
     if let Some(RefOr::T(body)) = &mut operation.request_body {
         let may_be_empty =
             matches!(operation.operation_id.as_deref(), Some("create_world" | "create_named_by_service"));
+        // The same shapes.
+        let json = body.content.get("application/json").cloned();
+        body.content.extend(json.map(|json| ("application/cbor".to_owned(), json)));
         body.required = Some(if may_be_empty { Required::False } else { Required::True });
     }
     for response in operation.responses.responses.values_mut() {
@@ -187,6 +190,7 @@ pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
             Code::BodyTimeout,
             Code::RevisionMismatch,
             Code::MalformedJson,
+            Code::MalformedCbor,
             Code::InvalidIdempotencyKey,
             Code::IdempotencyKeyReused,
             Code::IdempotencyKeyInFlight,

@@ -29,6 +29,7 @@ pub(crate) enum Code {
     UnknownWorld,
     UnknownParticle,
     MalformedJson,
+    MalformedCbor,
     MalformedSnapshot,
     RevisionMismatch,
     WorldExists,
@@ -71,7 +72,7 @@ pub(crate) enum Code {
 }
 
 impl Code {
-    pub(crate) const ALL: [Self; 55] = [
+    pub(crate) const ALL: [Self; 56] = [
         Self::MalformedRequest,
         Self::UriTooLong,
         Self::HeadersTooLarge,
@@ -88,6 +89,7 @@ impl Code {
         Self::UnknownWorld,
         Self::UnknownParticle,
         Self::MalformedJson,
+        Self::MalformedCbor,
         Self::MalformedSnapshot,
         Self::RevisionMismatch,
         Self::WorldExists,
@@ -172,7 +174,7 @@ impl Code {
             Self::NotAcceptable => ("not_acceptable", S::NOT_ACCEPTABLE, "Not acceptable",
                 "The answer would be application/json, or application/octet-stream where it is a snapshot, which the Accept header excludes."),
             Self::UnsupportedMediaType => ("unsupported_media_type", S::UNSUPPORTED_MEDIA_TYPE, "Unsupported media type",
-                "A body is read as JSON when its Content-Type is absent, JSON, text/* or application/x-www-form-urlencoded; \
+                "A body is read as CBOR when its Content-Type is application/cbor, and as JSON when it is absent, JSON, text/* or application/x-www-form-urlencoded; \
                  a snapshot when it is absent, application/octet-stream or application/x-www-form-urlencoded. \
                  Compressed bodies are not read."),
             Self::BodyTooLarge => ("body_too_large", S::PAYLOAD_TOO_LARGE, "Body too large",
@@ -185,6 +187,8 @@ impl Code {
                 "It was never created, or it was removed: ids are never used again."),
             Self::MalformedJson => ("malformed_json", S::BAD_REQUEST, "Not JSON",
                 "The body is not JSON, or it is cut short."),
+            Self::MalformedCbor => ("malformed_cbor", S::BAD_REQUEST, "Not CBOR",
+                "The body is not CBOR (RFC 8949), or it is cut short."),
             Self::MalformedSnapshot => ("malformed_snapshot", S::BAD_REQUEST, "Not a snapshot",
                 "The body is no snapshot of a world, or it is cut short, damaged, or of a world that cannot be."),
             Self::RevisionMismatch => ("revision_mismatch", S::PRECONDITION_FAILED, "The world has changed",
@@ -341,6 +345,11 @@ impl Problem {
         Self { pointer: Some(pointer.into()), ..Self::new(code, detail) }
     }
 
+    /// Whether the body is nothing that could be read: told before what else is wrong.
+    pub(crate) fn is_malformed(&self) -> bool {
+        matches!(self.code, Code::MalformedJson | Code::MalformedCbor)
+    }
+
     /// The same of a part of the request, to which this pointer leads.
     pub(crate) fn under(mut self, prefix: &str) -> Self {
         // Line and column would be those of the part.
@@ -439,7 +448,8 @@ impl Shape {
     fn pointer(self, place: Place) -> String {
         let field = self.field(place.field);
         match (self, place.index) {
-            (Self::List, Some(index)) => format!("/{index}/{field}"),
+            // What all of them share is wrong in the first one.
+            (Self::List, index) => format!("/{}/{field}", index.unwrap_or_default()),
             (Self::Columns, Some(index)) => format!("/{field}/{index}"),
             (Self::Particle | Self::World, _) | (_, None) => format!("/{field}"),
         }

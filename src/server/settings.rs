@@ -1,12 +1,12 @@
-//! Settings of a world that are objects in JSON: what is absent in one stays as it is, at creation as by default.
+//! Settings of a world that are objects in a body: what is absent in one stays as it is, at creation as by default.
 
 use serde::{Deserialize, Serialize};
-use serde_json::value::RawValue;
 use utoipa::ToSchema;
 
 use crate::command::{Settings, Tolerance};
 use crate::forces::{Drag, Forces, Gravitation};
-use crate::server::json::{Object, WireReal, parse_part, present};
+use crate::server::body::Raw;
+use crate::server::json::{Object, WireReal, present};
 use crate::server::problem::Problem;
 
 /// The forces that depend on where a particle is and how fast it moves; null switches one off.
@@ -84,9 +84,9 @@ pub(crate) struct Parts<R: WireReal> {
 
 impl<R: WireReal> Parts<R> {
     /// Reads the forces in the precision of the world.
-    pub(crate) fn read(forces: Option<&RawValue>, tolerance: Option<Object<ToleranceBody>>) -> Result<Self, Problem> {
+    pub(crate) fn read(forces: Option<Raw<'_>>, tolerance: Option<Object<ToleranceBody>>) -> Result<Self, Problem> {
         Ok(Self {
-            forces: forces.map(|raw| parse_part(raw.get(), "/forces")).transpose()?,
+            forces: forces.map(|raw| raw.read("/forces")).transpose()?,
             tolerance: tolerance.map_or_else(ToleranceBody::default, |Object(tolerance)| tolerance),
         })
     }

@@ -9,12 +9,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use axum::body::Bytes;
-use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use tokio::sync::{Notify, OwnedMutexGuard, OwnedSemaphorePermit};
 
 use crate::real::Real;
+use crate::server::body::Body;
 use crate::server::columns;
 use crate::server::config::{ANSWER_BYTES_MAX, Config};
 use crate::server::content::{self, Content};
@@ -167,10 +166,10 @@ impl Shared {
     /// Parses a body here, or in the compute pool when it is long.
     pub(crate) async fn parse<T: Send + 'static>(
         &self,
-        body: Bytes,
-        parse: impl FnOnce(&[u8]) -> Result<T, Problem> + Send + 'static,
+        body: Body,
+        parse: impl FnOnce(&Body) -> Result<T, Problem> + Send + 'static,
     ) -> Result<T, Problem> {
-        self.run_on_bytes(body.len(), move || parse(&body)).await
+        self.run_on_bytes(body.bytes.len(), move || parse(&body)).await
     }
 
     /// The same with what takes as long as parsing so many bytes.
@@ -321,7 +320,7 @@ impl<R: WireReal> Slot<R> {
         };
         let check = |world: &World<R>| {
             if let Err(problem) = &parsed
-                && problem.code.status() == StatusCode::BAD_REQUEST
+                && problem.is_malformed()
             {
                 return Err(problem.clone());
             }

@@ -1,8 +1,10 @@
-//! The JSON shapes that routes share.
+//! The shapes that routes share, in JSON and in CBOR.
 
-use serde::de::IgnoredAny;
+use std::fmt;
+use std::marker::PhantomData;
+
+use serde::de::{Deserializer, IgnoredAny, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
-use serde_json::value::RawValue;
 use utoipa::ToSchema;
 use utoipa::openapi::RefOr;
 use utoipa::openapi::schema::{ArrayBuilder, Schema};
@@ -13,6 +15,7 @@ use crate::forces::Drag;
 use crate::ids::ParticleId;
 use crate::integrator::{DampingLaw, Integrator};
 use crate::real::Precision;
+use crate::server::body::Raw;
 use crate::server::json::{Choice, DragPair, Element, Named, Object, Vector, WireReal, choices, column, present};
 use crate::server::problem::{Code, Problem};
 use crate::server::settings::{ForcesBody, ToleranceBody};
@@ -286,7 +289,7 @@ pub(crate) struct ParticleBody<R: WireReal> {
 }
 
 impl<R: WireReal> ParticleBody<R> {
-    fn particle(self, prefix: &str) -> Result<Particle<R>, Problem> {
+    fn particle(self) -> Result<Particle<R>, Problem> {
         let default = Particle::<R>::default();
         let vector = |given: Option<Vector<R>>, default| given.map_or(default, Element::value);
         Ok(Particle {
@@ -294,39 +297,69 @@ impl<R: WireReal> ParticleBody<R> {
             velocity: vector(self.velocity, default.velocity),
             acceleration: self.acceleration.value(),
             damping: self.damping.unwrap_or(default.damping),
-            mass: mass(self.mass, self.inverse_mass, prefix)?.unwrap_or(default.mass),
+            mass: mass(self.mass, self.inverse_mass)?.unwrap_or(default.mass),
             drag: self.drag.value(),
             gravitational_mass: self.gravitational_mass,
         })
     }
 
     pub(crate) fn one(self) -> Result<NewParticles<R>, Problem> {
-        Ok(self.particle("")?.into())
+        Ok(self.particle()?.into())
     }
+}
 
-    pub(crate) fn list(bodies: Vec<Object<Self>>) -> Result<NewParticles<R>, Problem> {
-        let with_place = |(index, Object(body)): (usize, Object<Self>)| body.particle(&format!("/{index}"));
-        bodies.into_iter().enumerate().map(with_place).collect()
+/// A list of particles to create, each read straight into the columns.
+pub(crate) struct Rows<R: WireReal> {
+    particles: NewParticles<R>,
+    /// What is wrong with the first one that is well-shaped and cannot be: what follows may be worse.
+    refused: Option<Problem>,
+}
+
+impl<R: WireReal> Rows<R> {
+    pub(crate) fn particles(self) -> Result<NewParticles<R>, Problem> {
+        self.refused.map_or(Ok(self.particles), Err)
+    }
+}
+
+impl<'de, R: WireReal> Deserialize<'de> for Rows<R> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct List<R>(PhantomData<R>);
+        impl<'de, R: WireReal> Visitor<'de> for List<R> {
+            type Value = Rows<R>;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a list of particles")
+            }
+            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Rows<R>, A::Error> {
+                let mut rows = Rows { particles: NewParticles::default(), refused: None };
+                while let Some(Object(body)) = list.next_element::<Object<ParticleBody<R>>>()? {
+                    match body.particle() {
+                        Ok(particle) => rows.particles.push(particle),
+                        Err(problem) => {
+                            let place = rows.particles.count;
+                            rows.refused.get_or_insert_with(|| problem.under(&format!("/{place}")));
+                        }
+                    }
+                }
+                Ok(rows)
+            }
+        }
+        deserializer.deserialize_seq(List(PhantomData))
     }
 }
 
 /// A mass said in one of two ways.
-pub(crate) fn mass<R: WireReal>(
-    mass: Option<R>,
-    inverse_mass: Option<R>,
-    prefix: &str,
-) -> Result<Option<Mass<R>>, Problem> {
+pub(crate) fn mass<R: WireReal>(mass: Option<R>, inverse_mass: Option<R>) -> Result<Option<Mass<R>>, Problem> {
     match (mass, inverse_mass) {
         (None, None) => Ok(None),
         (Some(mass), None) => Ok(Some(Mass::Mass(mass))),
         (None, Some(inverse)) => Ok(Some(Mass::Inverse(inverse))),
-        (Some(_), Some(_)) => Err(both_masses(prefix)),
+        (Some(_), Some(_)) => Err(both_masses()),
     }
 }
 
-fn both_masses(prefix: &str) -> Problem {
+fn both_masses() -> Problem {
     let detail = "mass and inverse_mass say the same thing; give one of them";
-    Problem::at(Code::MassAndInverseMass, format!("{prefix}/inverse_mass"), detail)
+    Problem::at(Code::MassAndInverseMass, "/inverse_mass", detail)
 }
 
 /// Particles to create, as columns.
@@ -343,30 +376,30 @@ pub(crate) struct ColumnsBody<'a> {
     pub(crate) count: Option<usize>,
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<VectorColumn>, nullable = false)]
-    position: Option<&'a RawValue>,
+    position: Option<Raw<'a>>,
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<VectorColumn>, nullable = false)]
-    velocity: Option<&'a RawValue>,
+    velocity: Option<Raw<'a>>,
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<AccelerationColumn>, nullable = false)]
-    acceleration: Option<&'a RawValue>,
+    acceleration: Option<Raw<'a>>,
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<NumberColumn>, nullable = false)]
-    damping: Option<&'a RawValue>,
+    damping: Option<Raw<'a>>,
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<NumberColumn>, nullable = false)]
-    mass: Option<&'a RawValue>,
+    mass: Option<Raw<'a>>,
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<NumberColumn>, nullable = false)]
-    inverse_mass: Option<&'a RawValue>,
+    inverse_mass: Option<Raw<'a>>,
     /// Own drag; null: that of the world.
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<DragColumn>, nullable = false)]
-    drag: Option<&'a RawValue>,
+    drag: Option<Raw<'a>>,
     /// In kg; null: its mass, and 0 when it is immovable.
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<OptionalNumberColumn>, nullable = false)]
-    gravitational_mass: Option<&'a RawValue>,
+    gravitational_mass: Option<Raw<'a>>,
 }
 
 impl ColumnsBody<'_> {
@@ -399,24 +432,24 @@ pub(crate) struct SetManyBody<'a> {
     /// In m/s²; null: follow the gravity of the world again.
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<AccelerationColumn>, nullable = false)]
-    acceleration: Option<&'a RawValue>,
+    acceleration: Option<Raw<'a>>,
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<NumberColumn>, nullable = false)]
-    damping: Option<&'a RawValue>,
+    damping: Option<Raw<'a>>,
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<NumberColumn>, nullable = false)]
-    mass: Option<&'a RawValue>,
+    mass: Option<Raw<'a>>,
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<NumberColumn>, nullable = false)]
-    inverse_mass: Option<&'a RawValue>,
+    inverse_mass: Option<Raw<'a>>,
     /// Own drag; null: that of the world.
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<DragColumn>, nullable = false)]
-    drag: Option<&'a RawValue>,
+    drag: Option<Raw<'a>>,
     /// In kg; null: its mass, and 0 when it is immovable.
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<OptionalNumberColumn>, nullable = false)]
-    gravitational_mass: Option<&'a RawValue>,
+    gravitational_mass: Option<Raw<'a>>,
     #[serde(default, deserialize_with = "present")]
     #[schema(ignore)]
     position: Option<IgnoredAny>,
@@ -482,7 +515,7 @@ impl<R: WireReal> SetOneBody<R> {
         let properties = Properties {
             acceleration: self.acceleration.map(|own| Column::Uniform(own.value())),
             damping: self.damping.map(Column::Uniform),
-            mass: mass(self.mass, self.inverse_mass, "")?.map(Column::Uniform),
+            mass: mass(self.mass, self.inverse_mass)?.map(Column::Uniform),
             drag: self.drag.map(|own| Column::Uniform(own.value())),
             gravitational_mass: self.gravitational_mass.map(Column::Uniform),
         };
@@ -508,22 +541,55 @@ pub(crate) fn selection(ids: Vec<u64>) -> Selection {
 }
 
 pub(crate) fn optional_column<E: Element>(
-    raw: Option<&RawValue>,
+    raw: Option<Raw<'_>>,
     field: &str,
 ) -> Result<Option<Column<E::Value>>, Problem> {
-    raw.map(|raw| column::<E>(raw.get(), field)).transpose()
+    raw.map(|raw| column::<E>(raw, field)).transpose()
+}
+
+/// A mass in a column of masses.
+#[derive(Deserialize)]
+#[serde(transparent, bound = "")]
+struct DirectMass<R: WireReal>(R);
+
+/// A mass in a column of inverse masses.
+#[derive(Deserialize)]
+#[serde(transparent, bound = "")]
+struct InverseMass<R: WireReal>(R);
+
+impl<R: WireReal> Element for DirectMass<R> {
+    type Value = Mass<R>;
+    type Number = R;
+    const NUMBERS: usize = 1;
+    fn value(self) -> Mass<R> {
+        Mass::Mass(self.0)
+    }
+    fn of(number: impl Fn(usize) -> R) -> Mass<R> {
+        Mass::Mass(number(0))
+    }
+}
+
+impl<R: WireReal> Element for InverseMass<R> {
+    type Value = Mass<R>;
+    type Number = R;
+    const NUMBERS: usize = 1;
+    fn value(self) -> Mass<R> {
+        Mass::Inverse(self.0)
+    }
+    fn of(number: impl Fn(usize) -> R) -> Mass<R> {
+        Mass::Inverse(number(0))
+    }
 }
 
 fn mass_column<R: WireReal>(
-    mass: Option<&RawValue>,
-    inverse_mass: Option<&RawValue>,
+    mass: Option<Raw<'_>>,
+    inverse_mass: Option<Raw<'_>>,
 ) -> Result<Option<Column<Mass<R>>>, Problem> {
     if mass.is_some() && inverse_mass.is_some() {
-        return Err(both_masses(""));
+        return Err(both_masses());
     }
-    let mass = optional_column::<R>(mass, "mass")?.map(|column| column.map(Mass::Mass));
-    let inverse = optional_column::<R>(inverse_mass, "inverse_mass")?.map(|column| column.map(Mass::Inverse));
-    Ok(mass.or(inverse))
+    let mass = optional_column::<DirectMass<R>>(mass, "mass")?;
+    Ok(mass.or(optional_column::<InverseMass<R>>(inverse_mass, "inverse_mass")?))
 }
 
 /// A particle at the clock of its world.

@@ -134,7 +134,11 @@ pub(crate) struct Lockstep<R: Number> {
     pub(crate) path: String,
     /// The particles there are.
     pub(crate) ids: Vec<u64>,
+    /// How bodies are sent: what they are, and their bytes.
+    encode: Encode,
 }
+
+pub(crate) type Encode = fn(&Value) -> (&'static str, Vec<u8>);
 
 fn merged(a: Value, b: Value) -> Value {
     let mut a = a;
@@ -157,7 +161,13 @@ impl<R: Number> Lockstep<R> {
         client.put(&path, &body.to_string()).expect(201);
         let limits = Limits { steps: STEPS_MAX, ..Limits::default() };
         let world = World::with_limits(settings, limits).expect("valid settings");
-        Self { world, client, path, ids: Vec::new() }
+        Self {
+            world,
+            client,
+            path,
+            ids: Vec::new(),
+            encode: |body| ("application/json", body.to_string().into_bytes()),
+        }
     }
 
     fn id(&self, seed: u64) -> u64 {
@@ -380,8 +390,10 @@ impl<R: Number> Lockstep<R> {
         let (command, method, path, json) = self.translate(step);
         let context = format!("{method} {path} {json}");
         let outcome = self.world.apply(&command);
-        let body = (json != Value::Null).then(|| json.to_string());
-        let answer = self.client.send(method, &path, &[], body.as_deref().map(str::as_bytes));
+        let body = (json != Value::Null).then(|| (self.encode)(&json));
+        let content_type = body.as_ref().map(|(content_type, _)| ("content-type", *content_type));
+        let bytes = body.as_ref().map(|(_, bytes)| bytes.as_slice());
+        let answer = self.client.send(method, &path, content_type.as_slice(), bytes);
         prop_assert_eq!(outcome.is_ok(), answer.status < 300, "{}: {:?} against {}", context, outcome, answer.text());
         match outcome {
             Ok(Outcome::Created { first, count }) => self.ids.extend(first.0..first.0 + count as u64),
@@ -471,7 +483,15 @@ impl<R: Number> Lockstep<R> {
 fn run<R: Number>(integrator: Integrator, law: DampingLaw, gravity: u64, steps: &[Step]) -> Result<(), TestCaseError> {
     let settings =
         Settings { integrator, gravity: vector::<R>(gravity).into(), damping_law: law, ..Settings::default() };
-    let mut lockstep = Lockstep::<R>::new(settings);
+    run_in(Lockstep::<R>::new(settings), steps)
+}
+
+/// The same steps in a world of the default settings, with bodies in another encoding.
+pub(crate) fn run_encoded<R: Number>(encode: Encode, steps: &[Step]) -> Result<(), TestCaseError> {
+    run_in(Lockstep { encode, ..Lockstep::<R>::new(Settings::default()) }, steps)
+}
+
+fn run_in<R: Number>(mut lockstep: Lockstep<R>, steps: &[Step]) -> Result<(), TestCaseError> {
     for step in steps {
         lockstep.step(step)?;
     }

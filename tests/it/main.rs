@@ -7,6 +7,8 @@
 mod access;
 /// What answers look like: encodings, packing, large ones on their way.
 mod answers;
+/// Bodies in CBOR: the same requests, the same refusals.
+mod cbor;
 /// The binary as its user meets it.
 mod command_line;
 /// Several commands in one request.

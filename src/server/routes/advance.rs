@@ -16,7 +16,7 @@ use crate::server::columns::Columns;
 use crate::server::config::{Config, DURATION_MAX};
 use crate::server::content::Composer;
 use crate::server::extract::Change;
-use crate::server::json::{self, Named, Object, Vector, WireReal, present};
+use crate::server::json::{Named, Object, Vector, WireReal, present};
 use crate::server::memory::{ADAPTIVE_BYTES, COMPARED_BYTES, PARTICLE_BYTES, SYSTEM_BYTES};
 use crate::server::problem::{Code, Problem, Shape};
 use crate::server::reply::Reply;
@@ -154,7 +154,7 @@ pub(crate) struct AdvancedBody {
     responses((status = 200, body = AdvancedBody, headers(("etag" = String)))))]
 async fn advance(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
     let any = app.slot(&change.target)?;
-    let parsed = json::parse::<Object<AdvanceBody>>(&change.body).and_then(|Object(body)| {
+    let parsed = change.body.read::<Object<AdvanceBody>>().and_then(|Object(body)| {
         check_duration(body.duration, &app.config, "/duration")?;
         Ok(body)
     });

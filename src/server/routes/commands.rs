@@ -5,12 +5,10 @@ use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use axum::body::Bytes;
 use axum::extract::State;
 use axum::response::{IntoResponse, Response};
 use serde::de::{Deserializer, Error as _, MapAccess, Visitor};
 use serde::{Deserialize, Serialize};
-use serde_json::value::RawValue;
 use tokio::task::JoinSet;
 use utoipa::ToSchema;
 use utoipa_axum::{router::OpenApiRouter, routes};
@@ -19,13 +17,14 @@ use crate::command::{Advance, Advanced, Command, Outcome, Selection};
 use crate::error::{Error, Limit};
 use crate::ids::ParticleId;
 use crate::server::App;
+use crate::server::body::{Body, Raw};
 use crate::server::columns::{self, Columns};
 use crate::server::config::{COMMANDS_MAX, Config, WORLDS_MAX};
 use crate::server::content::Composer;
 use crate::server::encoding::Encoding;
 use crate::server::extract::{Change, NoParameters};
-use crate::server::json::{self, Named, Object, Vector, WireReal, column, parse_part, present};
-use crate::server::memory::{PARTICLE_BYTES, objects};
+use crate::server::json::{self, Named, Object, Vector, WireReal, column, present};
+use crate::server::memory::PARTICLE_BYTES;
 use crate::server::problem::{Code, Problem, ProblemBody, Shape};
 use crate::server::reply::Reply;
 use crate::server::routes::advance::{AdvanceBody, AdvancedBody, bytes_of_copies, check_duration};
@@ -49,40 +48,96 @@ pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
 struct CommandsBody<'a> {
     /// Carried out in this order.
     #[serde(borrow)]
-    #[schema(value_type = Vec<CommandBody<'a>>)]
-    commands: Vec<Object<CommandBody<'a>>>,
+    #[schema(value_type = Vec<CommandSchema<'a>>)]
+    commands: Vec<CommandBody<'a>>,
 }
 
 /// A command: exactly one of these.
-#[derive(Debug, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
+#[derive(ToSchema)]
 #[schema(as = Command, min_properties = 1, max_properties = 1, example = json!({"advance": {"duration": 0.016}}))]
-struct CommandBody<'a> {
-    #[serde(borrow, default, deserialize_with = "present")]
-    #[schema(value_type = Option<CreateBody<'a>>, nullable = false)]
-    create: Option<&'a RawValue>,
-    #[serde(borrow, default, deserialize_with = "present")]
-    #[schema(value_type = Option<PlacesBody<'a>>, nullable = false)]
-    place: Option<&'a RawValue>,
-    #[serde(borrow, default, deserialize_with = "present")]
-    #[schema(value_type = Option<SetManyBody<'a>>, nullable = false)]
-    set: Option<&'a RawValue>,
-    #[serde(borrow, default, deserialize_with = "present")]
-    #[schema(value_type = Option<ForcesBody<'a>>, nullable = false)]
-    add_force: Option<&'a RawValue>,
-    #[serde(borrow, default, deserialize_with = "present")]
-    #[schema(value_type = Option<ImpulsesBody<'a>>, nullable = false)]
-    impulse: Option<&'a RawValue>,
-    #[serde(borrow, default, deserialize_with = "present")]
-    #[schema(value_type = Option<RemovalBody>, nullable = false)]
-    remove: Option<&'a RawValue>,
+#[expect(dead_code, reason = "stands for a command in the description")]
+struct CommandSchema<'a> {
+    #[schema(nullable = false)]
+    create: Option<CreateBody<'a>>,
+    #[schema(nullable = false)]
+    place: Option<PlacesBody<'a>>,
+    #[schema(nullable = false)]
+    set: Option<SetManyBody<'a>>,
+    #[schema(nullable = false)]
+    add_force: Option<ForcesBody<'a>>,
+    #[schema(nullable = false)]
+    impulse: Option<ImpulsesBody<'a>>,
+    #[schema(nullable = false)]
+    remove: Option<RemovalBody>,
     /// Without `dry_run`.
-    #[serde(borrow, default, deserialize_with = "present")]
-    #[schema(value_type = Option<AdvanceBody>, nullable = false)]
-    advance: Option<&'a RawValue>,
-    #[serde(borrow, default, deserialize_with = "present")]
-    #[schema(value_type = Option<ReadBody>, nullable = false)]
-    read: Option<&'a RawValue>,
+    #[schema(nullable = false)]
+    advance: Option<AdvanceBody>,
+    #[schema(nullable = false)]
+    read: Option<ReadBody>,
+}
+
+/// A command as it stands in the body.
+#[derive(Debug)]
+struct CommandBody<'a> {
+    /// `None`: it has no member, or several.
+    only: Option<(Kind, Raw<'a>)>,
+}
+
+/// What a command does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(field_identifier, rename_all = "snake_case")]
+enum Kind {
+    Create,
+    Place,
+    Set,
+    AddForce,
+    Impulse,
+    Remove,
+    Advance,
+    Read,
+}
+
+impl Kind {
+    const ALL: [Self; 8] =
+        [Self::Create, Self::Place, Self::Set, Self::AddForce, Self::Impulse, Self::Remove, Self::Advance, Self::Read];
+
+    /// As the request calls it.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Create => "create",
+            Self::Place => "place",
+            Self::Set => "set",
+            Self::AddForce => "add_force",
+            Self::Impulse => "impulse",
+            Self::Remove => "remove",
+            Self::Advance => "advance",
+            Self::Read => "read",
+        }
+    }
+}
+
+impl<'de: 'a, 'a> Deserialize<'de> for CommandBody<'a> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Members;
+        impl<'de> Visitor<'de> for Members {
+            type Value = CommandBody<'de>;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an object")
+            }
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<CommandBody<'de>, A::Error> {
+                let (mut given, mut only) = ([false; Kind::ALL.len()], None);
+                while let Some(kind) = map.next_key::<Kind>()? {
+                    if std::mem::replace(&mut given[kind as usize], true) {
+                        return Err(A::Error::duplicate_field(kind.name()));
+                    }
+                    only = Some((kind, map.next_value()?));
+                }
+                let is_one = given.iter().filter(|given| **given).count() == 1;
+                Ok(CommandBody { only: only.filter(|_| is_one) })
+            }
+        }
+        deserializer.deserialize_map(Members)
+    }
 }
 
 /// Teleports: positions, velocities or both; one vector for all of the ids, or a list with one for each.
@@ -94,11 +149,11 @@ struct PlacesBody<'a> {
     /// In metres; absent: they stay.
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<VectorColumn>, nullable = false)]
-    position: Option<&'a RawValue>,
+    position: Option<Raw<'a>>,
     /// In m/s; absent: they stay.
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<VectorColumn>, nullable = false)]
-    velocity: Option<&'a RawValue>,
+    velocity: Option<Raw<'a>>,
 }
 
 /// Impulses for many particles: one vector for all of the ids, or a list with one for each.
@@ -110,7 +165,7 @@ struct ImpulsesBody<'a> {
     /// In newton seconds.
     #[serde(borrow)]
     #[schema(value_type = VectorColumn)]
-    impulse: &'a RawValue,
+    impulse: Raw<'a>,
 }
 
 /// Particles to remove.
@@ -202,9 +257,9 @@ enum WorldAnswer {
     Problem(ProblemBody<'static>),
 }
 
-/// The members of an object as they stand in JSON, in their order; none twice.
+/// The members of an object as they stand in the body, in their order; none twice.
 #[derive(Debug)]
-struct ByName<'a>(Vec<(String, &'a RawValue)>);
+struct ByName<'a>(Vec<(String, Raw<'a>)>);
 
 impl<'de: 'a, 'a> Deserialize<'de> for ByName<'a> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
@@ -216,7 +271,7 @@ impl<'de: 'a, 'a> Deserialize<'de> for ByName<'a> {
             }
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<ByName<'de>, A::Error> {
                 let (mut members, mut names) = (Vec::new(), HashSet::new());
-                while let Some((name, value)) = map.next_entry::<String, &RawValue>()? {
+                while let Some((name, value)) = map.next_entry::<String, Raw<'de>>()? {
                     if !names.insert(name.clone()) {
                         return Err(A::Error::custom(format_args!("duplicate field `{name}`")));
                     }
@@ -250,10 +305,10 @@ async fn run_commands_in_worlds(State(app): State<Arc<App>>, change: Change) -> 
     if let Some(Err(problem)) = &change.key {
         return Err(problem.clone());
     }
-    let (whole, held) = (change.body.clone(), Arc::clone(&app));
-    let parsed = app.shared.parse(change.body.clone(), move |_| worlds(&whole, &held.config)).await;
+    let held = Arc::clone(&app);
+    let parsed = app.shared.parse(change.body.clone(), move |body| worlds(body, &held.config)).await;
     if let Err(problem) = &parsed
-        && problem.code == Code::MalformedJson
+        && problem.is_malformed()
     {
         return Err(problem.clone());
     }
@@ -280,15 +335,15 @@ async fn run_commands_in_worlds(State(app): State<Arc<App>>, change: Change) -> 
 }
 
 /// The commands of each world, without a copy.
-fn worlds(body: &Bytes, config: &Config) -> Result<Vec<(String, Bytes)>, Problem> {
-    let Object(WorldsBody { worlds: ByName(worlds) }) = json::parse(body)?;
+fn worlds(body: &Body, config: &Config) -> Result<Vec<(String, Body)>, Problem> {
+    let Object(WorldsBody { worlds: ByName(worlds) }) = body.read()?;
     check_objects(body, config)?;
     if worlds.len() > config.worlds_max {
         let detail =
             format!("{} worlds are more than there may be, {} (--{WORLDS_MAX})", worlds.len(), config.worlds_max);
         return Err(Problem::at(Code::LimitReached, "/worlds", detail));
     }
-    Ok(worlds.into_iter().map(|(name, raw)| (name, body.slice_ref(raw.get().as_bytes()))).collect())
+    Ok(worlds.into_iter().map(|(name, raw)| (name, body.part(raw))).collect())
 }
 
 /// One answer of the answers of all worlds, which are not copied.
@@ -332,8 +387,7 @@ struct Batch<R: WireReal> {
 }
 
 struct Item<R: WireReal> {
-    /// As the request calls it.
-    name: &'static str,
+    kind: Kind,
     task: Task<R>,
     shape: Shape,
 }
@@ -344,78 +398,59 @@ enum Task<R: WireReal> {
     Read(Option<Vec<u64>>, Vec<Property>),
 }
 
-type Reader<R> = fn(&str, &Config) -> Result<(Task<R>, Shape), Problem>;
-
 impl CommandBody<'_> {
     fn item<R: WireReal>(&self, config: &Config) -> Result<Item<R>, Problem> {
-        let all: [(&'static str, Option<&RawValue>, Reader<R>); 8] = [
-            ("create", self.create, create),
-            ("place", self.place, place),
-            ("set", self.set, set),
-            ("add_force", self.add_force, add_force),
-            ("impulse", self.impulse, impulse),
-            ("remove", self.remove, remove),
-            ("advance", self.advance, advance),
-            ("read", self.read, read),
-        ];
-        let mut given = all.into_iter().filter_map(|(name, raw, reader)| Some((name, raw?, reader)));
-        let (Some((name, raw, reader)), None) = (given.next(), given.next()) else {
-            let names = all.map(|(name, ..)| name).join(", ");
+        let Some((kind, raw)) = self.only else {
+            let names = Kind::ALL.map(Kind::name).join(", ");
             return Err(Problem::at(Code::InvalidField, "", format!("a command has one member, one of {names}")));
         };
-        let (task, shape) = reader(raw.get(), config).map_err(|problem| problem.under(&format!("/{name}")))?;
-        Ok(Item { name, task, shape })
+        let (task, shape) = kind.read(raw, config).map_err(|problem| problem.under(&format!("/{}", kind.name())))?;
+        Ok(Item { kind, task, shape })
     }
 }
 
-fn create<R: WireReal>(text: &str, config: &Config) -> Result<(Task<R>, Shape), Problem> {
-    let New { particles, shape } = read_new(text.as_bytes(), config.particles_max)?;
-    Ok((Task::Change(Command::Create(particles)), shape))
-}
-
-fn place<R: WireReal>(text: &str, _: &Config) -> Result<(Task<R>, Shape), Problem> {
-    let Object(PlacesBody { ids, position, velocity }) = parse_part(text, "")?;
-    let command = Command::Place {
-        ids: selection(ids),
-        position: optional_column::<Vector<R>>(position, "position")?,
-        velocity: optional_column::<Vector<R>>(velocity, "velocity")?,
-    };
-    Ok((Task::Change(command), Shape::Columns))
-}
-
-fn set<R: WireReal>(text: &str, _: &Config) -> Result<(Task<R>, Shape), Problem> {
-    Ok((Task::Change(parse_part::<Object<SetManyBody<'_>>>(text, "")?.0.command()?), Shape::Columns))
-}
-
-fn add_force<R: WireReal>(text: &str, _: &Config) -> Result<(Task<R>, Shape), Problem> {
-    Ok((Task::Change(parse_part::<Object<ForcesBody<'_>>>(text, "")?.0.command()?), Shape::Columns))
-}
-
-fn impulse<R: WireReal>(text: &str, _: &Config) -> Result<(Task<R>, Shape), Problem> {
-    let Object(ImpulsesBody { ids, impulse }) = parse_part(text, "")?;
-    let impulse = column::<Vector<R>>(impulse.get(), "impulse")?;
-    Ok((Task::Change(Command::Impulse { ids: selection(ids), impulse }), Shape::Columns))
-}
-
-fn remove<R: WireReal>(text: &str, _: &Config) -> Result<(Task<R>, Shape), Problem> {
-    let Object(RemovalBody { ids }) = parse_part(text, "")?;
-    Ok((Task::Change(Command::Remove { ids: selection(ids) }), Shape::Columns))
-}
-
-fn advance<R: WireReal>(text: &str, _: &Config) -> Result<(Task<R>, Shape), Problem> {
-    let (advance, properties) = parse_part::<Object<AdvanceBody>>(text, "")?.0.in_batch()?;
-    Ok((Task::Advance(advance, properties), Shape::World))
-}
-
-fn read<R: WireReal>(text: &str, _: &Config) -> Result<(Task<R>, Shape), Problem> {
-    let Object(ReadBody { fields, ids }) = parse_part(text, "")?;
-    let fields = fields.map_or_else(|| vec![Property::Position, Property::Velocity], wire::named);
-    Ok((Task::Read(ids, fields), Shape::Columns))
+impl Kind {
+    fn read<R: WireReal>(self, raw: Raw<'_>, config: &Config) -> Result<(Task<R>, Shape), Problem> {
+        let command = match self {
+            Self::Create => {
+                let New { particles, shape } = read_new(raw, config.particles_max)?;
+                return Ok((Task::Change(Command::Create(particles)), shape));
+            }
+            Self::Place => {
+                let Object(PlacesBody { ids, position, velocity }) = raw.read("")?;
+                Command::Place {
+                    ids: selection(ids),
+                    position: optional_column::<Vector<R>>(position, "position")?,
+                    velocity: optional_column::<Vector<R>>(velocity, "velocity")?,
+                }
+            }
+            Self::Set => raw.read::<Object<SetManyBody<'_>>>("")?.0.command()?,
+            Self::AddForce => raw.read::<Object<ForcesBody<'_>>>("")?.0.command()?,
+            Self::Impulse => {
+                let Object(ImpulsesBody { ids, impulse }) = raw.read("")?;
+                Command::Impulse { ids: selection(ids), impulse: column::<Vector<R>>(impulse, "impulse")? }
+            }
+            Self::Remove => {
+                let Object(RemovalBody { ids }) = raw.read("")?;
+                Command::Remove { ids: selection(ids) }
+            }
+            Self::Advance => {
+                let (advance, properties) = raw.read::<Object<AdvanceBody>>("")?.0.in_batch()?;
+                return Ok((Task::Advance(advance, properties), Shape::World));
+            }
+            Self::Read => {
+                let Object(ReadBody { fields, ids }) = raw.read("")?;
+                let fields = fields.map_or_else(|| vec![Property::Position, Property::Velocity], wire::named);
+                return Ok((Task::Read(ids, fields), Shape::Columns));
+            }
+        };
+        Ok((Task::Change(command), Shape::Columns))
+    }
 }
 
 /// Refuses more objects than particles and commands can be, before they take more memory than their text.
-fn check_objects(body: &[u8], config: &Config) -> Result<(), Problem> {
-    let (asked, most) = (objects(body), config.objects_max());
+fn check_objects(body: &Body, config: &Config) -> Result<(), Problem> {
+    let (asked, most) = (body.objects(), config.objects_max());
     if asked > most {
         let detail = format!("the body has {asked} objects, more than {most} (--{COMMANDS_MAX}, --particles-max)");
         return Err(Problem::new(Code::LimitReached, detail));
@@ -428,12 +463,12 @@ fn place_of(index: usize) -> String {
 }
 
 impl<R: WireReal> Batch<R> {
-    fn read(body: &[u8], config: &Config) -> Result<Self, Problem> {
+    fn read(body: &Body, config: &Config) -> Result<Self, Problem> {
         if let Err(problem) = check_objects(body, config) {
-            json::parse::<serde::de::IgnoredAny>(body)?;
+            body.read::<serde::de::IgnoredAny>()?;
             return Err(problem);
         }
-        let Object(CommandsBody { commands }) = json::parse(body)?;
+        let Object(CommandsBody { commands }) = body.read()?;
         let (asked, most) = (commands.len(), config.commands_max);
         if asked > most {
             let detail = format!("{asked} commands are more than a batch may have, {most} (--{COMMANDS_MAX})");
@@ -441,7 +476,7 @@ impl<R: WireReal> Batch<R> {
         }
         let mut items = Vec::with_capacity(asked);
         let mut duration = 0.0;
-        for (index, Object(command)) in commands.iter().enumerate() {
+        for (index, command) in commands.iter().enumerate() {
             let item = command.item::<R>(config).and_then(|item| {
                 if let Task::Advance(advance, _) = &item.task {
                     duration += advance.duration;
@@ -540,7 +575,7 @@ impl<R: WireReal> Batch<R> {
         answer.composer.writer.begin_list(self.items.len());
         world.keeping(self.keep(world), |world| {
             self.items.into_iter().enumerate().try_for_each(|(index, item)| {
-                let name = item.name;
+                let name = item.kind.name();
                 answer.composer.writer.item();
                 let done = item.run(world, cancelled, &mut answer);
                 done.map_err(|problem| problem.under(&format!("{}/{name}", place_of(index))))

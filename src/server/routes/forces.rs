@@ -5,7 +5,6 @@ use std::sync::Arc;
 use axum::extract::State;
 use axum::response::Response;
 use serde::Deserialize;
-use serde_json::value::RawValue;
 use utoipa::ToSchema;
 use utoipa_axum::{router::OpenApiRouter, routes};
 
@@ -13,8 +12,9 @@ use crate::column::Column;
 use crate::command::Command;
 use crate::ids::ParticleId;
 use crate::server::App;
+use crate::server::body::{Body, Raw};
 use crate::server::extract::Change;
-use crate::server::json::{self, Element, Object, Vector, WireReal, column};
+use crate::server::json::{Element, Object, Vector, WireReal, column};
 use crate::server::problem::Problem;
 use crate::server::routes::{apply_to_many, many};
 use crate::server::slot::with_slot;
@@ -51,12 +51,12 @@ pub(crate) struct ForcesBody<'a> {
     /// In newtons.
     #[serde(borrow)]
     #[schema(value_type = VectorColumn)]
-    force: &'a RawValue,
+    force: Raw<'a>,
 }
 
 impl ForcesBody<'_> {
     pub(crate) fn command<R: WireReal>(self) -> Result<Command<R>, Problem> {
-        let force = column::<Vector<R>>(self.force.get(), "force")?;
+        let force = column::<Vector<R>>(self.force, "force")?;
         Ok(Command::AddForce { ids: selection(self.ids), force })
     }
 }
@@ -67,8 +67,8 @@ impl ForcesBody<'_> {
 #[utoipa::path(post, path = "/v1/worlds/{world}/particles/{id}/force", tag = "forces", request_body = ForceBody<f64>,
     responses((status = 200, body = ParticleView<f64>, headers(("etag" = String)))))]
 async fn add_force(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
-    fn read<R: WireReal>(body: &[u8], id: ParticleId) -> Result<Command<R>, Problem> {
-        let Object(ForceBody { force }) = json::parse::<Object<ForceBody<R>>>(body)?;
+    fn read<R: WireReal>(body: &Body, id: ParticleId) -> Result<Command<R>, Problem> {
+        let Object(ForceBody { force }) = body.read::<Object<ForceBody<R>>>()?;
         Ok(Command::AddForce { ids: id.into(), force: Column::Uniform(force.value()) })
     }
     let any = app.slot(&change.target)?;
@@ -81,8 +81,8 @@ async fn add_force(State(app): State<Arc<App>>, change: Change) -> Result<Respon
 #[utoipa::path(post, path = "/v1/worlds/{world}/particles/{id}/impulse", tag = "forces", request_body = ImpulseBody<f64>,
     responses((status = 200, body = ParticleView<f64>, headers(("etag" = String)))))]
 async fn apply_impulse(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
-    fn read<R: WireReal>(body: &[u8], id: ParticleId) -> Result<Command<R>, Problem> {
-        let Object(ImpulseBody { impulse }) = json::parse::<Object<ImpulseBody<R>>>(body)?;
+    fn read<R: WireReal>(body: &Body, id: ParticleId) -> Result<Command<R>, Problem> {
+        let Object(ImpulseBody { impulse }) = body.read::<Object<ImpulseBody<R>>>()?;
         Ok(Command::Impulse { ids: id.into(), impulse: Column::Uniform(impulse.value()) })
     }
     let any = app.slot(&change.target)?;
@@ -95,8 +95,8 @@ async fn apply_impulse(State(app): State<Arc<App>>, change: Change) -> Result<Re
 #[utoipa::path(post, path = "/v1/worlds/{world}/forces", tag = "forces", request_body = ForcesBody,
     responses((status = 200, body = Changed, headers(("etag" = String)))))]
 async fn add_forces(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
-    fn read<R: WireReal>(body: &[u8]) -> Result<Command<R>, Problem> {
-        json::parse::<Object<ForcesBody<'_>>>(body)?.0.command()
+    fn read<R: WireReal>(body: &Body) -> Result<Command<R>, Problem> {
+        body.read::<Object<ForcesBody<'_>>>()?.0.command()
     }
     let any = app.slot(&change.target)?;
     with_slot!(any, slot => {

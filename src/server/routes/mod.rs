@@ -18,6 +18,7 @@ use axum::response::{IntoResponse, Response};
 use crate::command::{Command, Outcome, Selection};
 use crate::ids::ParticleId;
 use crate::real::Real;
+use crate::server::body::Body;
 use crate::server::content::Content;
 use crate::server::encoding::Encoding;
 use crate::server::extract::{Change, NoParameters};
@@ -45,7 +46,7 @@ impl Change {
     pub(crate) async fn apply_to_one<R: WireReal>(
         &self,
         slot: &Arc<Slot<R>>,
-        read: impl FnOnce(&[u8], ParticleId) -> Result<Command<R>, Problem>,
+        read: impl FnOnce(&Body, ParticleId) -> Result<Command<R>, Problem>,
     ) -> Result<Response, Problem> {
         let encoding = self.encoding;
         // An unknown particle is told before anything about the body.

@@ -14,19 +14,20 @@ use crate::command::{Command, NewParticles, Outcome, Properties};
 use crate::error::{Error, Limit};
 use crate::ids::ParticleId;
 use crate::server::App;
+use crate::server::body::{Body, Raw};
 use crate::server::columns::Columns;
 use crate::server::content::{Composer, Content};
 use crate::server::encoding::Encoding;
 use crate::server::extract::{Change, NoParameters, Read, page_limit};
-use crate::server::json::{self, Element, Object, Vector, WireReal, present};
-use crate::server::memory::{PARTICLE_BYTES, objects};
+use crate::server::json::{Element, Object, Vector, WireReal, present};
+use crate::server::memory::PARTICLE_BYTES;
 use crate::server::problem::{Code, Problem, Shape};
 use crate::server::reply::Reply;
 use crate::server::routes::{apply_to_many, many, whole};
 use crate::server::slot::{Cost, with_slot};
 use crate::server::wire::{
-    self, Changed, ColumnsBody, Created, ParticleBody, ParticleView, Property, SetManyBody, SetOneBody, VectorSchema,
-    properties,
+    self, Changed, ColumnsBody, Created, ParticleBody, ParticleView, Property, Rows, SetManyBody, SetOneBody,
+    VectorSchema, properties,
 };
 use crate::world::World;
 
@@ -131,7 +132,7 @@ async fn create_particles(State(app): State<Arc<App>>, change: Change) -> Result
     let (name, encoding) = (change.target.world.clone(), change.encoding);
     with_slot!(any, slot => {
         let most = app.config.particles_max;
-        let parsed = app.shared.parse(change.body.clone(), move |body| read_new(body, most)).await;
+        let parsed = app.shared.parse(change.body.clone(), move |body| read_new(body.raw()?, most)).await;
         let cost = |_: &World<_>, new: &New<_>| {
             let count = new.particles.count as u64;
             Cost { bytes: count.saturating_mul(PARTICLE_BYTES), ..Cost::of(count) }
@@ -157,22 +158,21 @@ pub(crate) struct New<R: WireReal> {
     pub(crate) shape: Shape,
 }
 
-pub(crate) fn read_new<R: WireReal>(body: &[u8], most: u64) -> Result<New<R>, Problem> {
-    if body.trim_ascii_start().starts_with(b"[") {
-        // Before they take a hundred times as much memory as their text.
-        let asked = objects(body);
+pub(crate) fn read_new<R: WireReal>(body: Raw<'_>, most: u64) -> Result<New<R>, Problem> {
+    if body.is_list() {
+        // Before they are looked at one by one.
+        let asked = body.objects();
         if asked > most {
-            json::parse::<IgnoredAny>(body)?;
+            body.read::<IgnoredAny>("")?;
             let refused = Error::LimitReached { limit: Limit::Particles, asked, allowed: most };
             return Err(Problem::from_engine(refused, Shape::List));
         }
-        let particles = ParticleBody::list(json::parse(body)?)?;
-        return Ok(New { particles, shape: Shape::List });
+        return Ok(New { particles: body.read::<Rows<R>>("")?.particles()?, shape: Shape::List });
     }
     // Without a count the columns are those of one particle, which takes no lists: read again as such.
-    let columns = json::parse::<Object<ColumnsBody<'_>>>(body);
+    let columns = body.read::<Object<ColumnsBody<'_>>>("");
     if let Ok(Object(ColumnsBody { count: None, .. })) = columns {
-        let Object(one) = json::parse::<Object<ParticleBody<R>>>(body)?;
+        let Object(one) = body.read::<Object<ParticleBody<R>>>("")?;
         return Ok(New { particles: one.one()?, shape: Shape::Particle });
     }
     let Object(columns) = columns?;
@@ -282,8 +282,8 @@ impl List {
 #[utoipa::path(patch, path = "/v1/worlds/{world}/particles", tag = "particles", request_body = SetManyBody,
     responses((status = 200, body = Changed, headers(("etag" = String)))))]
 async fn set_particles(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
-    fn read<R: WireReal>(body: &[u8]) -> Result<Command<R>, Problem> {
-        json::parse::<Object<SetManyBody<'_>>>(body)?.0.command()
+    fn read<R: WireReal>(body: &Body) -> Result<Command<R>, Problem> {
+        body.read::<Object<SetManyBody<'_>>>()?.0.command()
     }
     let any = app.slot(&change.target)?;
     with_slot!(any, slot => {
@@ -311,8 +311,8 @@ async fn read_particle(State(app): State<Arc<App>>, read: Read) -> Result<Respon
 #[utoipa::path(patch, path = "/v1/worlds/{world}/particles/{id}", tag = "particles", request_body = SetOneBody<f64>,
     responses((status = 200, body = ParticleView<f64>, headers(("etag" = String)))))]
 async fn set_particle(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
-    fn read<R: WireReal>(body: &[u8], id: ParticleId) -> Result<Command<R>, Problem> {
-        json::parse::<Object<SetOneBody<R>>>(body)?.0.command(id)
+    fn read<R: WireReal>(body: &Body, id: ParticleId) -> Result<Command<R>, Problem> {
+        body.read::<Object<SetOneBody<R>>>()?.0.command(id)
     }
     let any = app.slot(&change.target)?;
     with_slot!(any, slot => change.apply_to_one(&slot, read).await)
@@ -340,9 +340,9 @@ async fn remove_particle(State(app): State<Arc<App>>, change: Change) -> Result<
 #[utoipa::path(put, path = "/v1/worlds/{world}/particles/{id}/mass", tag = "particles", request_body = MassBody<f64>,
     responses((status = 200, body = ParticleView<f64>, headers(("etag" = String)))))]
 async fn set_mass(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
-    fn read<R: WireReal>(body: &[u8], id: ParticleId) -> Result<Command<R>, Problem> {
-        let Object(MassBody { mass, inverse_mass }) = json::parse(body)?;
-        let mass = wire::mass(mass, inverse_mass, "")?
+    fn read<R: WireReal>(body: &Body, id: ParticleId) -> Result<Command<R>, Problem> {
+        let Object(MassBody { mass, inverse_mass }) = body.read()?;
+        let mass = wire::mass(mass, inverse_mass)?
             .ok_or_else(|| Problem::new(Code::MissingField, "give mass or inverse_mass"))?;
         let properties = Properties { mass: Some(Column::Uniform(mass)), ..Properties::default() };
         Ok(Command::Set { ids: id.into(), properties })
@@ -355,8 +355,8 @@ async fn set_mass(State(app): State<Arc<App>>, change: Change) -> Result<Respons
 #[utoipa::path(post, path = "/v1/worlds/{world}/particles/{id}/place", tag = "particles", request_body = PlaceBody<f64>,
     responses((status = 200, body = ParticleView<f64>, headers(("etag" = String)))))]
 async fn place_particle(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
-    fn read<R: WireReal>(body: &[u8], id: ParticleId) -> Result<Command<R>, Problem> {
-        let Object(PlaceBody { position, velocity }) = json::parse::<Object<PlaceBody<R>>>(body)?;
+    fn read<R: WireReal>(body: &Body, id: ParticleId) -> Result<Command<R>, Problem> {
+        let Object(PlaceBody { position, velocity }) = body.read::<Object<PlaceBody<R>>>()?;
         let column = |vector: Option<Vector<R>>| vector.map(|vector| Column::Uniform(vector.value()));
         Ok(Command::Place { ids: id.into(), position: column(position), velocity: column(velocity) })
     }

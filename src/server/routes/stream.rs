@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::body::Body;
+use axum::body::Bytes;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{FromRequestParts, Request, State};
 use axum::http::{HeaderMap, HeaderValue, header};
@@ -14,6 +14,7 @@ use tokio::time::{Instant, timeout};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use crate::server::App;
+use crate::server::body::Body;
 use crate::server::config::SMALL_BODY_BYTES_MAX;
 use crate::server::content::{Content, Pieces};
 use crate::server::encoding::Encoding;
@@ -119,7 +120,7 @@ async fn follow_world(State(app): State<Arc<App>>, request: Request) -> Result<R
         let follower = Follower::new(&app, slot, target, interest).await?;
         tokio::spawn(tell(app, follower, framing, sender));
     });
-    let mut response = Response::new(Body::new(Pieces(receiver)));
+    let mut response = Response::new(axum::body::Body::new(Pieces(receiver)));
     let headers = response.headers_mut();
     headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(framing.content_type()));
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
@@ -201,7 +202,7 @@ async fn tell<R: WireReal>(
     app: Arc<App>,
     mut follower: Follower<R>,
     framing: Framing,
-    sender: mpsc::Sender<std::io::Result<axum::body::Bytes>>,
+    sender: mpsc::Sender<std::io::Result<Bytes>>,
 ) {
     let _counted = app.followers.enter();
     loop {
@@ -260,7 +261,7 @@ impl Talk {
                     if !std::mem::take(&mut is_alive) {
                         return;
                     }
-                    Message::Ping(axum::body::Bytes::new())
+                    Message::Ping(Bytes::new())
                 }
                 next = follower.next(self.encoding, |_| String::new()) => match next {
                     Ok(event) => message(event).await,
@@ -275,12 +276,13 @@ impl Talk {
     }
 
     /// Commands of a frame, and what came of them.
-    async fn answer(&self, body: axum::body::Bytes, encoding: Encoding) -> Message {
+    async fn answer(&self, bytes: Bytes, encoding: Encoding) -> Message {
         let answer = async {
             if !self.may_change {
                 return Err(Problem::plain(Code::ReadOnlyToken));
             }
-            let change = Change::of_frame(&self.app, self.target.clone(), body, encoding)?;
+            let body = Body { bytes, encoding };
+            let change = Change::of_frame(&self.app, self.target.clone(), body)?;
             commands::run(&self.app, &change).await.map(|reply| reply.content)
         };
         let content = answer.await.unwrap_or_else(|problem| Content::of(encoding, &problem.wire()));

@@ -5,7 +5,6 @@ use std::sync::Arc;
 use axum::extract::State;
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
-use serde_json::value::RawValue;
 use utoipa::ToSchema;
 use utoipa::openapi::Ref;
 use utoipa::openapi::schema::{ObjectBuilder, OneOfBuilder, Schema, Type};
@@ -17,13 +16,14 @@ use crate::integrator::{DampingLaw, Integrator};
 use crate::real::Precision;
 use crate::registry::Refused;
 use crate::server::App;
+use crate::server::body::{Body, Raw};
 use crate::server::config::WORLDS_MAX;
 use crate::server::content::Content;
 use crate::server::encoding::Encoding;
 use crate::server::extract::{Change, NoParameters, Read, page_limit};
 use crate::server::front::random;
 use crate::server::idempotency::{Attempt, Key};
-use crate::server::json::{self, Element, Named, Object, Vector, WireReal, choices, parse_part, present};
+use crate::server::json::{Element, Named, Object, Vector, WireReal, choices, present};
 use crate::server::problem::{Code, Problem, Shape};
 use crate::server::reply::Reply;
 use crate::server::settings::{ForcesBody, Parts, ToleranceBody};
@@ -54,7 +54,7 @@ struct CreateWorld<'a> {
     /// In m/s², or one of the presets `standard`, `textbook`, `shooter`, `driving`. Default 0.
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(schema_with = gravity_schema, required = false)]
-    gravity: Option<&'a RawValue>,
+    gravity: Option<Raw<'a>>,
     /// `per_second` (default) or `per_step`.
     #[serde(default, deserialize_with = "present")]
     #[schema(schema_with = choices::<DampingLaw>, required = false)]
@@ -65,7 +65,7 @@ struct CreateWorld<'a> {
     /// Drag and gravitation; default null: none. Not with `exact`.
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<ForcesBody<f64>>)]
-    forces: Option<&'a RawValue>,
+    forces: Option<Raw<'a>>,
     /// What `dop853` chooses its steps for.
     #[serde(default, deserialize_with = "present")]
     #[schema(value_type = Option<ToleranceBody>, nullable = false)]
@@ -86,7 +86,7 @@ struct ConfigureWorld<'a> {
     integrator: Option<Named<Integrator>>,
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(schema_with = gravity_schema, required = false)]
-    gravity: Option<&'a RawValue>,
+    gravity: Option<Raw<'a>>,
     #[serde(default, deserialize_with = "present")]
     #[schema(schema_with = choices::<DampingLaw>, required = false)]
     damping_law: Option<Named<DampingLaw>>,
@@ -98,7 +98,7 @@ struct ConfigureWorld<'a> {
     /// null switches both off, a member that is null that one; what is absent, in a member too, stays.
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<ForcesBody<f64>>)]
-    forces: Option<&'a RawValue>,
+    forces: Option<Raw<'a>>,
     /// What is absent in it stays.
     #[serde(default, deserialize_with = "present")]
     #[schema(value_type = Option<ToleranceBody>, nullable = false)]
@@ -209,10 +209,10 @@ fn create(app: &App, name: &str, change: &Change) -> Result<Response, Problem> {
     {
         return Ok(reply.into_response());
     }
-    let body = if change.body.is_empty() { b"{}" } else { change.body.as_ref() };
-    let parsed = json::parse::<Object<CreateWorld<'_>>>(body);
+    let body = if change.body.bytes.is_empty() { Ok(Raw::Json("{}")) } else { change.body.raw() };
+    let parsed = body.and_then(|body| body.read::<Object<CreateWorld<'_>>>(""));
     if let Err(problem) = &parsed
-        && problem.code == Code::MalformedJson
+        && problem.is_malformed()
     {
         return Err(problem.clone());
     }
@@ -288,11 +288,11 @@ fn is_world_name(name: &str) -> bool {
         && bytes.all(|byte| byte.is_ascii_alphanumeric() || byte == b'_' || byte == b'-')
 }
 
-fn read_gravity<R: WireReal>(raw: &RawValue) -> Result<R::Vec3, Problem> {
-    if !raw.get().starts_with('"') {
-        return parse_part::<Vector<R>>(raw.get(), "/gravity").map(Element::value);
+fn read_gravity<R: WireReal>(raw: Raw<'_>) -> Result<R::Vec3, Problem> {
+    if !raw.is_text() {
+        return raw.read::<Vector<R>>("/gravity").map(Element::value);
     }
-    let name: String = parse_part(raw.get(), "/gravity")?;
+    let name: String = raw.read("/gravity")?;
     gravity::preset::<R>(&name).ok_or_else(|| {
         let names: Vec<&str> = gravity::PRESETS.iter().map(|(name, _)| *name).collect();
         let detail = format!("there is no gravity {name:?}; take a vector or one of {}", names.join(", "));
@@ -337,8 +337,8 @@ async fn digest_world(State(app): State<Arc<App>>, read: Read) -> Result<Respons
 #[utoipa::path(patch, path = "/v1/worlds/{world}", tag = "worlds", request_body = ConfigureWorld,
     responses((status = 200, body = Description<f64>, headers(("etag" = String)))))]
 async fn configure_world(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
-    fn read<R: WireReal>(body: &[u8]) -> Result<(Configure<R>, Parts<R>), Problem> {
-        let Object(body) = json::parse::<Object<ConfigureWorld<'_>>>(body)?;
+    fn read<R: WireReal>(body: &Body) -> Result<(Configure<R>, Parts<R>), Problem> {
+        let Object(body) = body.read::<Object<ConfigureWorld<'_>>>()?;
         let parts = Parts::read(body.forces, body.tolerance)?;
         let configure = Configure {
             integrator: body.integrator.map(|Named(integrator)| integrator),
