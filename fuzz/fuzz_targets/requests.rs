@@ -1,5 +1,5 @@
 //! Bytes to requests, and requests to the service in memory, whose worlds are those of `worlds.http`. An input is a text
-//! like that file: requests as HTTP writes them, with a line `---` between them.
+//! like that file: requests as HTTP writes them, with a line `---` between them. In a body of CBOR `\xa1` is that byte.
 
 #![no_main]
 
@@ -142,15 +142,51 @@ fn request(text: &[u8]) -> Option<Request<Bytes>> {
         let (name, value) = split(line, b": ");
         request.headers_mut().append(HeaderName::from_bytes(name).ok()?, HeaderValue::from_bytes(value?).ok()?);
     }
+    if is_cbor(&request) {
+        *request.body_mut() = unescaped(request.body()).into();
+    }
     request.headers_mut().entry(header::HOST).or_insert(HeaderValue::from_static("localhost"));
     Some(request)
 }
 
+fn is_cbor(request: &Request<Bytes>) -> bool {
+    request.headers().get(header::CONTENT_TYPE).is_some_and(|value| value == "application/cbor")
+}
+
+/// Bytes that are no text, out of text; the newline at its end is none of them.
+fn unescaped(text: &[u8]) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(text.len());
+    let mut rest = text.strip_suffix(b"\n").unwrap_or(text);
+    while let Some((first, behind)) = rest.split_first() {
+        let digits = behind.strip_prefix(b"x").and_then(|digits| std::str::from_utf8(digits.get(..2)?).ok());
+        match digits.map(|digits| u8::from_str_radix(digits, 16)) {
+            Some(Ok(byte)) if *first == b'\\' => {
+                bytes.push(byte);
+                rest = &behind[3..];
+            }
+            Some(_) | None => {
+                bytes.push(*first);
+                rest = behind;
+            }
+        }
+    }
+    bytes
+}
+
 /// Whether the service is asked to change something.
 fn asks_for_change(request: &Request<Bytes>) -> bool {
-    let body: Value = serde_json::from_slice(request.body()).unwrap_or_default();
     let reads = [Method::GET, Method::HEAD, Method::OPTIONS, Method::TRACE].contains(request.method());
-    !reads && body["dry_run"] != true
+    !reads && !asks_for_dry_run(request)
+}
+
+fn asks_for_dry_run(request: &Request<Bytes>) -> bool {
+    if !is_cbor(request) {
+        let body: Value = serde_json::from_slice(request.body()).unwrap_or_default();
+        return body["dry_run"] == true;
+    }
+    let body = ciborium::from_reader::<ciborium::Value, _>(&request.body()[..]);
+    let Ok(ciborium::Value::Map(members)) = body else { return false };
+    members.iter().any(|(name, value)| name.as_text() == Some("dry_run") && value.as_bool() == Some(true))
 }
 
 /// What stands before the separator, and what behind it if it is there.
