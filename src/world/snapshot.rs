@@ -1,7 +1,7 @@
 //! Snapshots: everything that determines the future of a world, written down and read back to the bit.
 //!
-//! The form is little-endian. Words have eight bytes: whole numbers, or the bits of a double. A real has four bytes in a
-//! world of single precision and eight in one of double, a vector is three of them.
+//! The form is little-endian. Words have eight bytes: whole numbers, or the bits of a double. A real has four bytes in
+//! a world of single precision and eight in one of double, a vector is three of them.
 //!
 //! ```text
 //! "pmsnap\r\n"     8 bytes
@@ -11,8 +11,8 @@
 //! next id          a word
 //! step count       a word
 //! clock            two words: upper, lower
-//! integrator       a word: 1 exact, 2 newton_euler, 3 newton_euler_quadratic, 4 semi_implicit_euler, 5 velocity_verlet,
-//!                  6 rk4, 7 dop853
+//! integrator       a word: 1 exact, 2 newton_euler, 3 newton_euler_quadratic, 4 semi_implicit_euler,
+//!                  5 velocity_verlet, 6 rk4, 7 dop853
 //! damping law      a word: 1 per_second, 2 per_step
 //! compensated      a word: 1, or 0
 //! max_step         a word: seconds; 0 when there is none
@@ -25,13 +25,13 @@
 //!   position       n vectors, at the base time
 //!   velocity       n vectors, at the base time
 //!   residuals      n vectors of the positions and n of the velocities, where sums are compensated
-//!   base times     a word: how many different ones; each of them as two words, in the order of the first particle that has
-//!                  it; and where they are more than one, n times four bytes: which of them
+//!   base times     a word: how many different ones; each of them as two words, in the order of the first particle
+//!                  that has it; and where they are more than one, n times four bytes: which of them
 //!   has own acceleration, own acceleration, damping, inverse mass, drag, gravitational mass
-//!                  each a word, 0: one value for all of them, 1: n values; and the value, or the values: a byte, 0 or 1;
-//!                  a vector; a real; a real; a byte, 1 or 0, and two reals; a byte, 1 or 0, and a real
-//!   forces         a word, 0: on some; 1: on any. On some: a word, how many, and of each a word, its id, and a vector. On
-//!                  any: a column of vectors, as above
+//!                  each a word, 0: one value for all of them, 1: n values; and the value, or the values: a byte,
+//!                  0 or 1; a vector; a real; a real; a byte, 1 or 0, and two reals; a byte, 1 or 0, and a real
+//!   forces         a word, 0: on some; 1: on any. On some: a word, how many, and of each a word, its id, and a
+//!                  vector. On any: a column of vectors, as above
 //! checksum         four bytes: the CRC-32 (that of zip and PNG) of all before
 //! ```
 //!
@@ -106,9 +106,9 @@ impl From<io::Error> for SnapshotError {
 }
 
 impl<R: Real> World<R> {
-    /// Writes everything that determines the future, in pieces of at most 64 KiB: [`World::restore`] makes of it a world
-    /// that gives the same bits from then on. Step count and settings are in it, revision, limits and threads are not.
-    /// Reading changes nothing: two snapshots of one world are equal. Needs the feature `snapshot`.
+    /// Writes everything that determines the future, in pieces of at most 64 KiB: [`World::restore`] makes of it a
+    /// world that gives the same bits from then on. Step count and settings are in it, revision, limits and threads are
+    /// not. It changes nothing: two snapshots of one world are equal. Needs the feature `snapshot`.
     ///
     /// ```
     /// use pointmass::{Limits, Particle, World};

@@ -331,6 +331,19 @@ fn a_base_that_is_not_finite_at_the_clock_is_refused() {
     assert!(matches!(refused, Err(SnapshotError::Refused(error)) if error == Error::NotFinite(place)), "{refused:?}");
 }
 
+/// An own acceleration is 0 where there is none: who rests is told by it.
+#[test]
+fn an_acceleration_that_is_there_and_is_not_is_refused() {
+    let mut world = World::<f64>::default();
+    world.create(Particle::default()).expect("valid");
+    let mut bytes = snapshot(&world);
+    // After the head, the particle, its base time, and that it has none.
+    let own = 8 * (23 + 6 + 3) + 9 + 8;
+    bytes[own..own + 8].copy_from_slice(&1f64.to_le_bytes());
+    let refused = World::<f64>::restore(signed(bytes).as_slice(), LIMITS);
+    assert!(matches!(refused, Err(SnapshotError::Inconsistent(_))), "{refused:?}");
+}
+
 /// A count that nothing comes after takes no memory.
 #[test]
 fn what_is_announced_and_does_not_come_takes_no_memory() {

@@ -91,8 +91,8 @@ impl FromRequest<Arc<App>> for Upload {
 /// Takes a snapshot of a world
 ///
 /// Everything that determines its future, as bytes with a checksum: whatever it is restored into goes on with the same
-/// bits. Settings, clock and step count are in it, the name and the revision are not. The form is that of this version of
-/// the service; a later one may know it no more, and then says so.
+/// bits. Settings, clock and step count are in it, the name and the revision are not. The form is that of this version
+/// of the service; a later one may know it no more, and then says so.
 #[utoipa::path(get, path = "/v1/worlds/{world}/snapshot", tag = "worlds",
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream", headers(("etag" = String)))))]
 async fn snapshot_world(State(app): State<Arc<App>>, Ask(read): Ask) -> Result<Response, Problem> {
@@ -120,15 +120,16 @@ fn written<R: WireReal>(world: &World<R>) -> Vec<u8> {
 
 /// Restores a world
 ///
-/// From a snapshot, as GET gives it: it has the future of the world that this was taken of, to the bit. Where there is no
-/// world of this name it is created (201): a clone. Where there is one it is replaced (200) as one change, in its turn:
+/// From a snapshot, as GET gives it: it has the future of the world that this was taken of, to the bit. Where there is
+/// no world of this name it is created (201): a clone. Where there is one it is replaced (200) as one change, in its turn:
 /// its revision grows by one, whatever that of the other was. A world keeps its precision: a snapshot of another one is
 /// refused.
 #[utoipa::path(put, path = "/v1/worlds/{world}/snapshot", tag = "worlds",
     request_body(content = Vec<u8>, content_type = "application/octet-stream"),
     responses(
         (status = 200, body = Description<f64>, description = "Replaced", headers(("etag" = String))),
-        (status = 201, body = Description<f64>, description = "Created", headers(("location" = String), ("etag" = String))),
+        (status = 201, body = Description<f64>, description = "Created",
+            headers(("location" = String), ("etag" = String))),
     ))]
 async fn restore_world(State(app): State<Arc<App>>, upload: Upload) -> Result<Response, Problem> {
     let Upload { change, pieces } = upload;
