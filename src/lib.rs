@@ -23,10 +23,10 @@
 //! # Code map
 //!
 //! [`World`] applies [`Command`]s; the methods of `World` are commands for one particle. `world` has a file for changes,
-//! one for time, one for the digest (feature `digest`) and one for snapshots (feature `snapshot`); `closed_form` has the exact integrator, `kernel` the stepped
-//! ones under constant accelerations, and `system` those under forces that depend on the state. Columns, ids and the
-//! double-double clock have a file each. Everything under `server` speaks HTTP; nothing else does. ARCHITECTURE.md says
-//! why.
+//! one for time, one for what changed since when, one for the digest (feature `digest`) and two for snapshots (feature
+//! `snapshot`); `closed_form` has the exact integrator, `kernel` the stepped ones under constant accelerations, and
+//! `system` those under forces that depend on the state. Columns, ids and the double-double clock have a file each, and
+//! what copies of a world share. Everything under `server` speaks HTTP; nothing else does. ARCHITECTURE.md says why.
 
 mod accumulators;
 mod base_times;
@@ -64,7 +64,7 @@ pub use real::{Precision, Real};
 pub use threads::Threads;
 #[cfg(feature = "digest")]
 pub use world::Digest;
-pub use world::{ParticleState, States, StepPlan, Trajectory, World};
+pub use world::{Changes, ParticleState, States, StepPlan, Trajectory, World};
 #[cfg(feature = "snapshot")]
 pub use world::{Snapshot, SnapshotError};
 

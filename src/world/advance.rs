@@ -163,7 +163,10 @@ impl<R: Real> World<R> {
         let done = if exact {
             self.flow_until(plan, advance.until, cancelled)?
         } else if integrator.is_euler() && !forces.any() && advance.until.is_none() {
-            Done { inspected: self.step(plan, cancelled)?, ..Done::planned(plan) }
+            let moved = self.about_to_move();
+            let inspected = self.step(plan, cancelled)?;
+            self.note_moved(moved);
+            Done { inspected, ..Done::planned(plan) }
         } else {
             self.step_system(plan, advance, cancelled)?
         };
@@ -180,6 +183,7 @@ impl<R: Real> World<R> {
             None => (exact && advance.report_error).then_some(StepError { position: 0.0, velocity: 0.0 }),
         };
         let used = |values| if integrated == 0 { Values::None } else { values };
+        self.note_advance();
         if !self.particles.force.is_clear() {
             self.particles.force.clear(&self.ids);
         }

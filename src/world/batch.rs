@@ -115,25 +115,35 @@ impl<R: Real> World<R> {
         keep: Keep,
         changes: impl FnOnce(&mut Self) -> Result<T, E>,
     ) -> Result<T, E> {
-        let (revision, limits) = (self.revision, self.limits);
+        let limits = self.limits;
         let kept = match keep {
             Keep::Nothing => Kept::Nothing,
-            Keep::Forces => Kept::Forces(self.particles.force.before(&self.ids), self.bounds),
+            Keep::Forces => {
+                self.history.iter_mut().for_each(|history| history.begin_forces());
+                Kept::Forces(self.particles.force.before(&self.ids), self.bounds)
+            }
             Keep::Everything => Kept::Everything(Box::new(self.clone())),
         };
+        let outer = self.batch.replace(false);
         let result = changes(self);
+        let has_changed = std::mem::replace(&mut self.batch, outer) == Some(true);
         self.limits = limits;
         if result.is_ok() {
-            self.revision = self.revision.min(revision + 1);
+            if matches!(kept, Kept::Forces(..)) {
+                self.history.iter_mut().for_each(|history| history.keep_forces());
+            }
+            if has_changed {
+                self.end_change();
+            }
             return result;
         }
-        self.revision = revision;
         match kept {
             Kept::Nothing => {}
             Kept::Forces(force, bounds) => {
                 let len = self.particles.len();
                 self.particles.force.go_back(force, &self.ids, len);
                 self.bounds = bounds;
+                self.history.iter_mut().for_each(|history| history.take_forces_back(len));
             }
             Kept::Everything(before) => *self = *before,
         }

@@ -201,10 +201,10 @@ impl<R: Real> World<R> {
                 ids.clone()
             }
         };
-        let (ids, particles) = (&mut *self.ids, &mut *self.particles);
         for &id in &listed {
-            let row = ids.remove(id).expect("every id was looked up above");
-            particles.swap_remove(row);
+            let row = self.ids.remove(id).expect("every id was looked up above");
+            self.particles.swap_remove(row);
+            self.note_removal(id, row);
         }
         self.factors.forget();
         Ok(Outcome::Changed { count: listed.len() })
@@ -251,6 +251,7 @@ impl<R: Real> World<R> {
             let rows: Vec<usize> = (0..self.particles.len())
                 .filter(|&row| change.integrator.is_some() || self.follows_gravity(row))
                 .collect();
+            self.note_rebase(&rows);
             self.rebase_many(&Rows::List(&rows));
         }
         // Another integrator begins with what can be read.
@@ -258,7 +259,11 @@ impl<R: Real> World<R> {
             let len = if settings.compensated { self.particles.len() } else { 0 };
             self.particles.residual = Residuals::zero(len);
         }
+        let gravity_differs = settings.gravity != self.settings.gravity;
         self.settings = settings;
+        if gravity_differs {
+            self.note_gravity();
+        }
         if motion_changes {
             self.bounds = Bounds::of(&self.particles, settings.gravity.into());
         }
@@ -280,7 +285,7 @@ impl<R: Real> World<R> {
         }
     }
 
-    fn follows_gravity(&self, row: usize) -> bool {
+    pub(super) fn follows_gravity(&self, row: usize) -> bool {
         !self.particles.has_own_acceleration.get(row) && self.particles.inverse_mass.get(row) != R::ZERO
     }
 }

@@ -35,6 +35,7 @@ use crate::shared::Shared;
 use crate::threads::Threads;
 use bounds::Bounds;
 use drive::Factors;
+use history::History;
 use motion::{Carrier, Rows, Span};
 
 pub use advance::StepPlan;
@@ -44,6 +45,7 @@ pub(crate) use batch::{Keep, Part};
 pub(crate) use columns::Block;
 #[cfg(feature = "digest")]
 pub use digest::Digest;
+pub use history::Changes;
 #[cfg(feature = "snapshot")]
 pub use restore::Snapshot;
 #[cfg(feature = "snapshot")]
@@ -78,6 +80,10 @@ pub struct World<R: Real = f64> {
     factors: Shared<Factors<R>>,
     threads: Threads,
     level: Level,
+    /// What changed since when, if somebody asks.
+    history: Option<Shared<History>>,
+    /// Whether a batch has changed something, while one is going on.
+    batch: Option<bool>,
 }
 
 /// The state of a particle at the clock of its world.
@@ -189,6 +195,8 @@ impl<R: Real> World<R> {
             factors: Shared::default(),
             threads: Threads::default(),
             level: Level::new(),
+            history: None,
+            batch: None,
         };
         world.configure(&Configure {
             integrator: Some(settings.integrator),
@@ -229,7 +237,8 @@ impl<R: Real> World<R> {
                 Outcome::Configured
             }
         };
-        self.revision += 1;
+        self.note(command);
+        self.end_change();
         Ok(outcome)
     }
 
@@ -366,7 +375,7 @@ impl<R: Real> World<R> {
         self.step_count
     }
 
-    /// The number of commands applied so far.
+    /// The number of commands applied so far; a batch is one, when it is over.
     #[must_use]
     pub fn revision(&self) -> u64 {
         self.revision

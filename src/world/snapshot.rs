@@ -151,34 +151,6 @@ impl<R: Real> World<R> {
         writer.end()
     }
 
-    /// At least as many bytes as a snapshot has.
-    #[cfg(feature = "server")]
-    pub(crate) fn snapshot_bytes(&self) -> u64 {
-        fn values<T: Copy + PartialEq>(column: &Column<T>, bytes: usize) -> usize {
-            column.len_if_per_particle().unwrap_or(1) * bytes
-        }
-        let (particles, len, real) = (&self.particles, self.particles.len(), R::BYTES);
-        let ids = if self.ids.next() == len as u64 { 0 } else { 8 * len };
-        let times = particles.base_time.distinct().len();
-        let forces = match particles.force.acting() {
-            Acting::Few(ids) => ids.len() * (8 + 3 * real),
-            Acting::Many => values(particles.force.column(), 3 * real),
-        };
-        let bytes = 512
-            + ids
-            + (len + particles.residual.position.len()) * 2 * 3 * real
-            + times * 16
-            + if times > 1 { 4 * len } else { 0 }
-            + values(&particles.has_own_acceleration, 1)
-            + values(&particles.own_acceleration, 3 * real)
-            + values(&particles.damping, real)
-            + values(&particles.inverse_mass, real)
-            + values(&particles.drag, 1 + 2 * real)
-            + values(&particles.gravitational_mass, 1 + real)
-            + forces;
-        bytes as u64
-    }
-
     fn head(&self) -> [u64; HEAD] {
         let Settings { integrator, gravity: _, damping_law, max_step, forces, tolerance, compensated } = self.settings;
         let [x, y, z] = self.gravity().map(number);

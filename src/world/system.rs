@@ -67,6 +67,7 @@ impl<R: Real> World<R> {
             self.check_finite(plan.step, done.steps, &columns, cancelled)?;
         }
         self.keep_resting(&mut columns);
+        self.note_moved(self.moved_to(&columns[0], &columns[1]));
         let particles = &mut *self.particles;
         [particles.position, particles.velocity, particles.residual.position, particles.residual.velocity] = columns;
         self.bounds = Bounds::unknown();
