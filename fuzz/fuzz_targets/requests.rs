@@ -81,6 +81,11 @@ impl Service {
         let request = request.map(Body::from);
         let (parts, body) = self.runtime.block_on(async {
             let (parts, body) = self.service.clone().oneshot(request).await.expect("infallible").into_parts();
+            // A stream does not end: whoever asked goes away.
+            let is_stream = parts.headers.get(header::CONTENT_TYPE).is_some_and(|kind| {
+                matches!(kind.as_bytes(), b"text/event-stream" | b"application/jsonl")
+            });
+            let body = if is_stream { Body::empty() } else { body };
             (parts, to_bytes(body, usize::MAX).await.expect("in memory"))
         });
         Answer { status: parts.status, headers: parts.headers, body }

@@ -34,13 +34,13 @@ pub(crate) struct Columns<R: WireReal> {
 
 /// What columns of changes say besides.
 #[derive(Debug, Clone)]
-pub(crate) struct Changed {
+struct Changed {
     /// Of the world that is told.
-    pub(crate) revision: u64,
+    revision: u64,
     /// Whether everything is told, since what changed is not known.
-    pub(crate) is_full: bool,
+    is_full: bool,
     /// In ascending order.
-    pub(crate) removed: Vec<ParticleId>,
+    removed: Vec<ParticleId>,
 }
 
 impl<R: WireReal> Columns<R> {
@@ -54,15 +54,26 @@ impl<R: WireReal> Columns<R> {
         Self::new(Some(ids.iter().copied().map(ParticleId).collect()), ids.len(), properties, None)
     }
 
-    /// Of those that changed; `None`: of all.
-    pub(crate) fn of_changes(
-        world: &World<R>,
-        ids: Option<Arc<[ParticleId]>>,
-        changed: Changed,
-        properties: &[Property],
-    ) -> Self {
-        let count = ids.as_ref().map_or(world.particle_count(), |ids| ids.len());
-        Self::new(ids, count, properties, Some(changed))
+    /// Of those that changed since a revision, or of all where that is not known; of some of them, named in ascending
+    /// order, if there are names.
+    pub(crate) fn since(world: &World<R>, since: Option<u64>, ids: Option<&[u64]>, properties: &[Property]) -> Self {
+        let changes = since.and_then(|since| world.changed_since(since));
+        let some = |is_told: &dyn Fn(ParticleId) -> bool| {
+            ids.map(|ids| ids.iter().copied().map(ParticleId).filter(|id| is_told(*id)).collect::<Arc<[_]>>())
+        };
+        let told = match &changes {
+            None => some(&|id| world.contains(id)),
+            Some(changes) if ids.is_none() && changes.are_all() => None,
+            Some(changes) => some(&|id| changes.contains(id)).or_else(|| Some(changes.ids().collect())),
+        };
+        let is_meant = |id: &ParticleId| ids.is_none_or(|ids| ids.binary_search(&id.0).is_ok());
+        let changed = Changed {
+            revision: world.revision(),
+            is_full: changes.is_none(),
+            removed: changes.map_or_else(Vec::new, |changes| changes.removed().into_iter().filter(is_meant).collect()),
+        };
+        let count = told.as_ref().map_or(world.particle_count(), |ids| ids.len());
+        Self::new(told, count, properties, Some(changed))
     }
 
     fn new(ids: Option<Arc<[ParticleId]>>, count: usize, properties: &[Property], changed: Option<Changed>) -> Self {

@@ -64,11 +64,6 @@ impl Content {
         Composer::from(writer).content()
     }
 
-    /// Of another type, which whoever answers says.
-    pub(crate) fn bytes(bytes: Vec<u8>) -> Self {
-        Self { parts: [Part::Text(bytes.into())].into(), encoding: Encoding::Cbor, ..Self::empty() }
-    }
-
     /// Bytes, as far as they are known.
     pub(crate) fn len(&self) -> usize {
         self.parts.iter().map(|part| if let Part::Text(text) = part { text.len() } else { 0 }).sum()

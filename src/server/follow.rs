@@ -10,7 +10,7 @@ use tokio::time::Instant;
 
 use crate::ids::ParticleId;
 use crate::server::App;
-use crate::server::columns::{Changed, Columns};
+use crate::server::columns::Columns;
 use crate::server::content::{Composer, Content, is_few};
 use crate::server::encoding::Encoding;
 use crate::server::extract::Target;
@@ -108,33 +108,12 @@ impl Interest {
         begin: fn(u64) -> String,
         app: &App,
     ) -> Result<Content, Problem> {
-        let columns = self.columns(world);
+        let columns = Columns::since(world, self.since, self.ids.as_deref(), &self.properties);
         let mut charge = Charge::none(&app.shared.in_flight);
         charge.grow(if is_few(columns.numbers()) { columns.numbers() * NUMBER_BYTES } else { world.bytes() })?;
         let mut composer = Composer::new(encoding);
         composer.writer.bytes.extend_from_slice(begin(world.revision()).as_bytes());
         composer.columns(world, columns, &app.shared);
         Ok(composer.content().charged(charge))
-    }
-
-    /// What is to be told of this world.
-    fn columns<R: WireReal>(&self, world: &World<R>) -> Columns<R> {
-        let changes = self.since.and_then(|since| world.changed_since(since));
-        let is_meant = |id: &ParticleId| self.ids.as_ref().is_none_or(|ids| ids.binary_search(&id.0).is_ok());
-        let ids = match (&self.ids, &changes) {
-            (None, None) => None,
-            (None, Some(changes)) if changes.are_all() => None,
-            (None, Some(changes)) => Some(changes.ids().collect()),
-            (Some(ids), None) => Some(ids.iter().copied().map(ParticleId).filter(|id| world.contains(*id)).collect()),
-            (Some(ids), Some(changes)) => {
-                Some(ids.iter().copied().map(ParticleId).filter(|id| changes.contains(*id)).collect())
-            }
-        };
-        let changed = Changed {
-            revision: world.revision(),
-            is_full: changes.is_none(),
-            removed: changes.map_or_else(Vec::new, |changes| changes.removed().into_iter().filter(is_meant).collect()),
-        };
-        Columns::of_changes(world, ids, changed, &self.properties)
     }
 }

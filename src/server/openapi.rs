@@ -121,10 +121,13 @@ fn complete(path: &str, method: &str, operation: &mut Operation) {
         body.required = Some(if may_be_empty { Required::False } else { Required::True });
     }
     for response in operation.responses.responses.values_mut() {
-        if let RefOr::T(response) = response
-            && response.description.is_empty()
-        {
+        let RefOr::T(response) = response else { continue };
+        if response.description.is_empty() {
             "Done".clone_into(&mut response.description);
+        }
+        if path.starts_with("/v1") {
+            let json = response.content.get("application/json").cloned();
+            response.content.extend(json.map(|json| ("application/cbor".to_owned(), json)));
         }
     }
     let mut by_status: std::collections::BTreeMap<u16, Vec<Code>> = std::collections::BTreeMap::new();
@@ -245,8 +248,9 @@ fn of_operation(operation: &str) -> Vec<Code> {
             codes.extend(properties);
             codes.push(Code::LengthMismatch);
         }
+        "follow_world" => codes.push(Code::UnknownParticle),
         "list_particles" => codes.extend([Code::UnknownParticle, Code::AnswerTooLarge]),
-        "read_state" | "snapshot_world" => codes.push(Code::AnswerTooLarge),
+        "read_state" => codes.extend([Code::UnknownParticle, Code::AnswerTooLarge]),
         "set_particles" => {
             codes.extend(masses);
             codes.extend(properties);

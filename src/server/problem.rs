@@ -172,7 +172,8 @@ impl Code {
             Self::MethodNotAllowed => ("method_not_allowed", S::METHOD_NOT_ALLOWED, "Method not allowed",
                 "The path exists, with other methods: the Allow header names them."),
             Self::NotAcceptable => ("not_acceptable", S::NOT_ACCEPTABLE, "Not acceptable",
-                "The answer would be application/json, or application/octet-stream where it is a snapshot, which the Accept header excludes."),
+                "The answer would be application/json or application/cbor (a snapshot application/octet-stream, a stream text/event-stream or \
+                 application/jsonl), and the Accept header excludes it."),
             Self::UnsupportedMediaType => ("unsupported_media_type", S::UNSUPPORTED_MEDIA_TYPE, "Unsupported media type",
                 "A body is read as CBOR when its Content-Type is application/cbor, and as JSON when it is absent, JSON, text/* or application/x-www-form-urlencoded; \
                  a snapshot when it is absent, application/octet-stream or application/x-www-form-urlencoded. \
@@ -347,7 +348,7 @@ impl Problem {
 
     /// Whether the body is nothing that could be read: told before what else is wrong.
     pub(crate) fn is_malformed(&self) -> bool {
-        matches!(self.code, Code::MalformedJson | Code::MalformedCbor)
+        self.code.status() == StatusCode::BAD_REQUEST
     }
 
     /// The same of a part of the request, to which this pointer leads.

@@ -41,6 +41,9 @@ const NEARLY_FULL: f64 = 0.95;
 /// How often a request that got a place finds its world taken by another, and gives the place back, before it gives up.
 const TURNS_MAX: usize = 8;
 
+/// Snapshots that are sent at once, each by a thread that waits for its client.
+const SNAPSHOTS_MAX: usize = 8;
+
 /// Bytes of a body that are parsed on the spot: about as long.
 const INLINE_BYTES: usize = 32 << 10;
 
@@ -92,6 +95,7 @@ struct Turn<R: WireReal> {
     /// In the compute pool, when the work is not done on the spot.
     place: Option<OwnedSemaphorePermit>,
     work: u64,
+    asks_history: bool,
     /// For the answer.
     charge: Charge,
 }
@@ -109,6 +113,8 @@ pub(crate) struct Shared {
     pub(crate) short_places: Places,
     /// For long work there.
     pub(crate) long_places: Places,
+    /// For snapshots on their way.
+    pub(crate) snapshot_places: Places,
     /// Answers to removals of worlds.
     pub(crate) removals: Answers,
     answer_bytes_max: u64,
@@ -133,6 +139,7 @@ impl Shared {
                 Bounds { patience: Duration::from_millis(config.shed_after_ms), what: "a processor", ..places },
             ),
             long_places: Places::new(config.long_places(), places),
+            snapshot_places: Places::new(SNAPSHOTS_MAX, Bounds { what: "a place for a snapshot", ..places }),
             answer_bytes_max: config.answer_bytes_max,
             world_queue: Bounds { length: config.world_queue_max, patience, what: "the world" },
             removals: Answers::new(key_limits),
@@ -202,6 +209,8 @@ pub(crate) struct Cost {
     pub(crate) answer: u64,
     /// Bytes that are held for it while it is sent.
     pub(crate) held: u64,
+    /// Whether it asks what changed, so that a history is kept from then on.
+    pub(crate) asks_history: bool,
 }
 
 impl Cost {
@@ -229,6 +238,16 @@ impl Cost {
             return Err(too_large(self.answer, KEPT_ANSWER_BYTES_MAX, "with an Idempotency-Key"));
         }
         Ok(Self { bytes: self.bytes.saturating_add(self.answer + 2 * ENTRY_BYTES as u64), ..self })
+    }
+
+    /// By who wants to know what changed.
+    pub(crate) fn asking_history(self) -> Self {
+        Self { asks_history: true, ..self }
+    }
+
+    /// With so much more work.
+    pub(crate) fn doing(self, work: u64) -> Self {
+        Self { work: self.work.saturating_add(work), ..self }
     }
 
     /// With so many numbers in the answer.
@@ -357,6 +376,22 @@ impl<R: WireReal> Slot<R> {
         cost: impl Fn(&World<R>, &Q) -> Cost,
         answer: impl FnOnce(&World<R>, Q, &AtomicBool) -> Result<Content, Problem> + Send + 'static,
     ) -> Result<Response, Problem> {
+        let (revision, seen) = self.look(read, query, cost, answer).await?;
+        let reply = seen.map_or_else(Reply::not_modified, |(content, charge)| {
+            Reply::of(content).charged(charge).coded(read.coding, &self.shared)
+        });
+        Ok(reply.at(revision).into_response())
+    }
+
+    /// Looks at the world in its turn: its revision, and unless the client has that already, what it saw, and the charge
+    /// for it.
+    pub(crate) async fn look<Q: Send + 'static, T: Send + 'static>(
+        self: &Arc<Self>,
+        read: &Read,
+        query: Result<Q, Problem>,
+        cost: impl Fn(&World<R>, &Q) -> Cost,
+        look: impl FnOnce(&World<R>, Q, &AtomicBool) -> Result<T, Problem> + Send + 'static,
+    ) -> Result<(u64, Option<(T, Charge)>), Problem> {
         let Read { target, preconditions, .. } = read;
         let check = |world: &World<R>| {
             let query = query.as_ref().map_err(Clone::clone)?;
@@ -366,14 +401,17 @@ impl<R: WireReal> Slot<R> {
         let query = query?;
         let revision = turn.held.world(target)?.revision();
         if preconditions.has(revision) {
-            return Ok(Reply::not_modified().at(revision).into_response());
+            return Ok((revision, None));
         }
-        let (slot, coding) = (Arc::clone(self), read.coding);
+        let slot = Arc::clone(self);
         run(turn.work, move |cancelled| {
-            let world = turn.held.world.as_ref().expect("it was there above, under the same lock");
-            let content = answer(world, query, cancelled);
+            let world = turn.held.world.as_mut().expect("it was there above, under the same lock");
+            if turn.asks_history {
+                world.keep_history();
+            }
+            let seen = look(world, query, cancelled);
             let charge = turn.end(&slot.answers);
-            Ok(Reply::of(content?).at(revision).charged(charge).coded(coding, &slot.shared).into_response())
+            Ok((revision, Some((seen?, charge))))
         })
         .await
     }
@@ -388,7 +426,7 @@ impl<R: WireReal> Slot<R> {
         let mut held = self.lock().await?;
         let mut place = None;
         for _ in 0..TURNS_MAX {
-            let Cost { work, bytes, answer, held: as_it_was } = check(held.world(target)?)?;
+            let Cost { work, bytes, answer, held: as_it_was, asks_history } = check(held.world(target)?)?;
             if let Some(places) = self.shared.places(work)
                 && place.is_none()
             {
@@ -412,7 +450,7 @@ impl<R: WireReal> Slot<R> {
             let mut charge = Charge::none(&self.shared.in_flight);
             charge.grow(answer.saturating_add(as_it_was))?;
             held.charge.grow(bytes)?;
-            return Ok(Turn { held, place, work, charge });
+            return Ok(Turn { held, place, work, asks_history, charge });
         }
         Err(Problem::new(Code::Overloaded, "the world and a processor were never free together; try again later"))
     }
@@ -420,9 +458,15 @@ impl<R: WireReal> Slot<R> {
     /// The world as it is in its turn, however long that takes, with a history from then on.
     pub(crate) async fn view(&self, target: &Target) -> Result<World<R>, Problem> {
         let mut held = Arc::clone(&self.world).lock_owned().await;
-        let world = held.world(target)?;
-        world.keep_history();
-        Ok(world.clone())
+        let rows = held.world(target)?.particle_count() as u64;
+        let target = target.clone();
+        // It may have to look at every particle.
+        run(rows, move |_| {
+            let world = held.world(&target)?;
+            world.keep_history();
+            Ok(world.clone())
+        })
+        .await
     }
 
     /// Takes the world out, in its turn; `forget` runs while nobody else can see it.

@@ -690,6 +690,15 @@ pub(crate) fn pair<R: WireReal>(Drag { k1, k2 }: Drag<R>) -> [R; 2] {
 pub(crate) struct State {
     /// The clock in seconds.
     time: f64,
+    /// With `changed_since`, and in a stream: what to ask from the next time.
+    #[schema(nullable = false)]
+    revision: Option<u64>,
+    /// Whether everything is here, since what changed is not known; otherwise absent.
+    #[schema(nullable = false)]
+    full: Option<bool>,
+    /// Ids that were removed, in ascending order.
+    #[schema(nullable = false)]
+    removed: Option<Vec<u64>>,
     count: usize,
     id: Vec<u64>,
     #[schema(nullable = false)]

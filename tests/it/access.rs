@@ -175,8 +175,10 @@ struct Request<'a> {
 impl Request<'_> {
     fn path(&self) -> String {
         let world = if self.method == "PUT" && self.path.ends_with("{world}") { "b" } else { "a" };
-        [("{world}", world), ("{id}", "0"), ("{code}", "diverged"), ("{asset}", "index.html")]
+        // A stream that is followed does not end.
+        [("{world}/stream", "{world}/stream?rate=0"), ("{world}", world), ("{id}", "0"), ("{code}", "diverged")]
             .into_iter()
+            .chain([("{asset}", "index.html")])
             .fold(self.path.to_owned(), |path, (name, value)| path.replace(name, value))
     }
 

@@ -309,3 +309,59 @@ fn long_text_is_packed_when_it_is_asked_for() {
         assert_eq!(client.send("GET", &path, &[("accept-encoding", "*")], None).header("content-encoding"), None);
     }
 }
+
+/// What did not change since a revision is left out, of lists and of columns; what is removed is named.
+#[test]
+fn only_what_changed_is_told_to_who_knows_the_rest() {
+    let service = shared();
+    let mut client = service.client();
+    client.put("/v1/worlds/less", "").expect(201);
+    // A mover, two walls, and one that floats.
+    let particles = r#"[{"velocity":[1,0,0]},{"inverse_mass":0},{"inverse_mass":0},{}]"#;
+    client.post("/v1/worlds/less/particles", particles).expect(201);
+    let ask = |client: &mut Client, what: &str| client.get(&format!("/v1/worlds/less/{what}")).expect(200).json();
+    let ids = |answer: &Value| -> Vec<u64> {
+        let id = |particle: &Value| particle["id"].as_u64().expect("an id");
+        match answer["particles"].as_array() {
+            Some(particles) => particles.iter().map(id).collect(),
+            None => serde_json::from_value(answer["id"].clone()).expect("ids"),
+        }
+    };
+    for what in ["state", "particles"] {
+        let first = ask(&mut client, &format!("{what}?changed_since=0"));
+        assert_eq!((&first["full"], &first["removed"]), (&json!(true), &json!([])), "nobody asked before");
+        let known = first["revision"].as_u64().expect("a revision");
+        assert!(ids(&ask(&mut client, &format!("{what}?changed_since={known}"))).is_empty());
+        client.post("/v1/worlds/less/advance", r#"{"duration":1}"#).expect(200);
+        client.post("/v1/worlds/less/particles/3/force", r#"{"force":[0,0,1]}"#).expect(200);
+        client.post("/v1/worlds/less/particles", "{}").expect(201);
+        let victim = if what == "state" { 1 } else { 2 };
+        client.delete(&format!("/v1/worlds/less/particles/{victim}")).expect(204);
+        let new = if what == "state" { 4 } else { 5 };
+        let changed = ask(&mut client, &format!("{what}?changed_since={known}&fields=position"));
+        assert_eq!((ids(&changed), &changed["removed"]), (vec![0, 3, new], &json!([victim])));
+        assert_eq!((&changed["revision"], changed.get("full")), (&json!(known + 4), None));
+        let some = ask(&mut client, &format!("{what}?changed_since={known}&ids=0,{victim}"));
+        assert_eq!((ids(&some), &some["removed"]), (vec![0], &json!([victim])));
+        // From the last change on there is nothing, and before the first question nobody knows.
+        assert!(ids(&ask(&mut client, &format!("{what}?changed_since={}", known + 4))).is_empty());
+        for unknown in [0, known + 100] {
+            let full = ask(&mut client, &format!("{what}?changed_since={unknown}&ids=0,3"));
+            assert_eq!((ids(&full), &full["full"], &full["removed"]), (vec![0, 3], &json!(true), &json!([])));
+        }
+        client
+            .post(
+                "/v1/worlds/less/commands",
+                r#"{"commands":[{"set":{"ids":[3],"mass":2}},{"impulse":{"ids":[3],"impulse":[0,0,1]}},
+            {"impulse":{"ids":[3],"impulse":[0,0,-1]}},{"advance":{"duration":1}}]}"#,
+            )
+            .expect(200);
+        let after = ask(&mut client, &format!("{what}?changed_since={}", known + 4));
+        assert_eq!((ids(&after), &after["revision"]), (vec![0, 3], &json!(known + 5)), "a batch is one revision");
+        // The force left it in motion: at rest again, for the second round.
+        client.post("/v1/worlds/less/particles/3/place", r#"{"velocity":[0,0,0]}"#).expect(200);
+        client.get(&format!("/v1/worlds/less/{what}?changed_since=x")).expect(422);
+    }
+    let pages = ask(&mut client, "particles?changed_since=0&limit=2");
+    assert_eq!((ids(&pages), &pages["next_after"]), (vec![0, 3], &json!(3)));
+}

@@ -9,6 +9,8 @@ mod access;
 mod answers;
 /// Bodies in CBOR: the same requests, the same refusals.
 mod cbor;
+/// What changed since when.
+mod changes;
 /// The binary as its user meets it.
 mod command_line;
 /// Several commands in one request.
@@ -51,5 +53,7 @@ mod skips;
 mod snapshot;
 /// Scenes that break the methods of the textbook, and the tolerances of docs/stability.md.
 mod stability;
+/// Worlds followed live.
+mod streams;
 /// The tree itself.
 mod tidy;

@@ -179,6 +179,29 @@ impl Client {
         bytes
     }
 
+    /// Reads the head of an answer.
+    #[track_caller]
+    pub(crate) fn head(&mut self) -> String {
+        let mut head = String::new();
+        while !head.ends_with("\r\n\r\n") {
+            let read = self.stream.read_line(&mut head).expect("a head");
+            assert!(read > 0, "closed after {head:?}");
+        }
+        head
+    }
+
+    /// Reads a chunk of a body; `None` after the last one.
+    #[track_caller]
+    pub(crate) fn chunk(&mut self) -> Option<Vec<u8>> {
+        let mut size = String::new();
+        self.stream.read_line(&mut size).expect("a size");
+        let size = usize::from_str_radix(size.trim_end(), 16).expect("a size");
+        let mut chunk = vec![0; size + 2];
+        self.stream.read_exact(&mut chunk).expect("a chunk");
+        chunk.truncate(size);
+        (size > 0).then_some(chunk)
+    }
+
     /// The body of a chunked answer of which the beginning was read, with headers.
     #[track_caller]
     pub(crate) fn rest_of_answer(&mut self, beginning: &[u8]) -> Vec<u8> {

@@ -98,6 +98,18 @@ struct PlaceBody<R: WireReal> {
 struct Particles<R: WireReal> {
     /// The clock in seconds.
     time: f64,
+    /// With `changed_since`: what to ask from the next time.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    revision: Option<u64>,
+    /// Whether everything is listed, since what changed is not known; otherwise absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    full: Option<bool>,
+    /// With `changed_since`, on each page: ids that were removed, in ascending order.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    removed: Option<Vec<u64>>,
     #[schema(value_type = Vec<ParticleView<f64>>)]
     #[expect(clippy::struct_field_names, reason = "the name in JSON")]
     particles: Vec<ParticleView<R>>,
@@ -113,12 +125,15 @@ struct ListQuery {
     fields: Option<String>,
     limit: Option<usize>,
     after: Option<u64>,
+    changed_since: Option<u64>,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct StateQuery {
     fields: Option<String>,
+    ids: Option<String>,
+    changed_since: Option<u64>,
 }
 
 /// Creates particles
@@ -189,13 +204,17 @@ pub(crate) fn read_new<R: WireReal>(body: Raw<'_>, most: u64) -> Result<New<R>, 
         ("fields" = Option<String>, Query, description = "only these properties besides the id, separated by commas", example = "position,velocity"),
         ("limit" = Option<usize>, Query, description = "at most so many; default 1000, at most 100000", minimum = 1, maximum = 100_000),
         ("after" = Option<u64>, Query, description = "from the first id after this one"),
+        ("changed_since" = Option<u64>, Query, description = "only what changed since this revision: see the state in columns", example = 7),
     ),
     responses((status = 200, body = Particles<f64>, headers(("etag" = String)))))]
 async fn list_particles(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
     let any = app.slot(&read.target)?;
     let query = read.query::<ListQuery>().and_then(List::try_from);
     let encoding = read.encoding;
-    let cost = |list: &List, count: usize| Cost::of_reading(list.numbers() * list.limit.min(count) as u64);
+    let cost = |list: &List, count: usize| {
+        let cost = Cost::of_reading(list.numbers() * list.limit.min(count) as u64);
+        if list.changed_since.is_some() { cost.doing(count as u64).asking_history() } else { cost }
+    };
     with_slot!(any, slot => slot.read(&read, query,
         |world, list| cost(list, world.particle_count()),
         move |world, list, _| list.of(world, encoding)).await)
@@ -207,6 +226,7 @@ struct List {
     properties: Option<Vec<Property>>,
     limit: usize,
     after: Option<u64>,
+    changed_since: Option<u64>,
 }
 
 /// Reads `ids=2,0`: in ascending order, each once.
@@ -229,6 +249,7 @@ impl TryFrom<ListQuery> for List {
             properties: query.fields.map(|fields| properties(&fields)).transpose()?,
             limit: page_limit(query.limit)?,
             after: query.after,
+            changed_since: query.changed_since,
         })
     }
 }
@@ -257,22 +278,37 @@ impl List {
             }
             more
         };
-        if let Some(ids) = &self.ids {
-            let missing = ids.iter().find(|&&id| !world.contains(ParticleId(id)));
-            if let Some(id) = missing {
-                return Err(Problem::new(Code::UnknownParticle, format!("there is no particle {id} in this world")));
-            }
-            for &id in ids.iter().filter(|&&id| first.is_some_and(|first| id >= first)) {
-                if push(world.particle(ParticleId(id)).map_err(|error| Problem::from_engine(error, Shape::Particle))?) {
-                    break;
+        let changes = self.changed_since.and_then(|since| world.changed_since(since));
+        let is_meant = |id: &ParticleId| self.ids.as_ref().is_none_or(|ids| ids.binary_search(&id.0).is_ok());
+        if let (Some(ids), None) = (&self.ids, self.changed_since) {
+            check_there(world, ids)?;
+        }
+        if let Some(first) = first.map(ParticleId) {
+            let read = |id| world.particle(id).ok();
+            let _full = match (&changes, &self.ids) {
+                (Some(changes), _) => changes.ids_from(first).filter(is_meant).filter_map(read).any(&mut push),
+                (None, Some(ids)) => {
+                    ids.iter().copied().map(ParticleId).filter(|id| *id >= first).filter_map(read).any(&mut push)
                 }
-            }
-        } else if let Some(first) = first {
-            let _full = world.particles_from(ParticleId(first)).any(push);
+                (None, None) => world.particles_from(first).any(&mut push),
+            };
         }
         let next_after = particles.last().filter(|_| more).map(|(_, id)| *id);
-        let particles = particles.into_iter().map(|(view, _)| view).collect();
-        Ok(Content::of(encoding, &Particles { time: world.time(), particles, next_after }))
+        let removed = changes
+            .as_ref()
+            .map_or_else(Vec::new, |changes| changes.removed().into_iter().filter(is_meant).map(|id| id.0).collect());
+        let asked = self.changed_since.is_some();
+        Ok(Content::of(
+            encoding,
+            &Particles {
+                time: world.time(),
+                revision: asked.then(|| world.revision()),
+                full: (asked && changes.is_none()).then_some(true),
+                removed: asked.then_some(removed),
+                particles: particles.into_iter().map(|(view, _)| view).collect(),
+                next_after,
+            },
+        ))
     }
 }
 
@@ -364,22 +400,71 @@ async fn place_particle(State(app): State<Arc<App>>, change: Change) -> Result<R
     with_slot!(any, slot => change.apply_to_one(&slot, read).await)
 }
 
-/// Reads all particles as columns
+/// Reads particles as columns
+///
+/// With `changed_since` only those that are not as they were at that revision; then the answer has its own `revision`, to
+/// ask from the next time, the ids that were `removed`, and `full` (with everything) where what changed is not known: a
+/// world remembers for as long as it is asked now and then.
 #[utoipa::path(get, path = "/v1/worlds/{world}/state", tag = "particles",
-    params(("fields" = Option<String>, Query, description = "which columns besides the id; default position,velocity", example = "position,velocity")),
+    params(
+        ("fields" = Option<String>, Query, description = "which columns besides the id; default position,velocity", example = "position,velocity"),
+        ("ids" = Option<String>, Query, description = "only these, separated by commas", example = "0,2"),
+        ("changed_since" = Option<u64>, Query, description = "only what changed since this revision", example = 7),
+    ),
     responses((status = 200, body = wire::State, headers(("etag" = String)))))]
 async fn read_state(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
     let any = app.slot(&read.target)?;
-    let query = read.query::<StateQuery>().and_then(|query| match query.fields {
-        None => Ok(vec![Property::Position, Property::Velocity]),
-        Some(fields) => properties(&fields),
-    });
+    let query = read.query::<StateQuery>().and_then(Asked::try_from);
     let encoding = read.encoding;
     with_slot!(any, slot => slot.read(&read, query,
-        |world, properties| Cost::of_columns(world, world.particle_count(), properties),
-        move |world, properties, _| {
+        |world, asked| {
+            let count = asked.ids.as_ref().map_or(world.particle_count(), Vec::len);
+            let cost = Cost::of_columns(world, count, &asked.properties);
+            match asked.changed_since {
+                None => cost,
+                Some(_) => cost.doing(world.particle_count() as u64).asking_history(),
+            }
+        },
+        move |world, asked, _| {
+            let Asked { properties, ids, changed_since } = asked;
+            let columns = match (&ids, changed_since) {
+                (None, None) => Columns::of(world, &properties),
+                (Some(ids), None) => {
+                    check_there(world, ids)?;
+                    Columns::of_ids(ids, &properties)
+                }
+                (ids, Some(since)) => Columns::since(world, Some(since), ids.as_deref(), &properties),
+            };
             let mut composer = Composer::new(encoding);
-            composer.columns(world, Columns::of(world, &properties), &app.shared);
+            composer.columns(world, columns, &app.shared);
             Ok(composer.content())
         }).await)
+}
+
+/// Which columns are asked for.
+struct Asked {
+    properties: Vec<Property>,
+    ids: Option<Vec<u64>>,
+    changed_since: Option<u64>,
+}
+
+impl TryFrom<StateQuery> for Asked {
+    type Error = Problem;
+    fn try_from(query: StateQuery) -> Result<Self, Problem> {
+        Ok(Self {
+            properties: match &query.fields {
+                None => vec![Property::Position, Property::Velocity],
+                Some(fields) => properties(fields)?,
+            },
+            ids: query.ids.as_deref().map(listed_ids).transpose()?,
+            changed_since: query.changed_since,
+        })
+    }
+}
+
+fn check_there<R: WireReal>(world: &World<R>, ids: &[u64]) -> Result<(), Problem> {
+    match ids.iter().find(|&&id| !world.contains(ParticleId(id))) {
+        Some(id) => Err(Problem::new(Code::UnknownParticle, format!("there is no particle {id} in this world"))),
+        None => Ok(()),
+    }
 }

@@ -6,11 +6,12 @@ use std::sync::Arc;
 use axum::body::{Body, Bytes};
 use axum::extract::{FromRequest, FromRequestParts, Request, State};
 use axum::http::request::Parts;
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 use http_body_util::{BodyExt, Limited};
 use hyper::body::Frame;
 use mediatype::MediaType;
+use tokio::sync::mpsc;
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use crate::error::{Error, Limits};
@@ -18,7 +19,7 @@ use crate::real::Precision;
 use crate::registry::Refused;
 use crate::server::App;
 use crate::server::config::SNAPSHOT_BYTES_MAX;
-use crate::server::content::Content;
+use crate::server::content::{self, Content};
 use crate::server::encoding::{self, Encoding};
 use crate::server::extract::{self, Change, NoParameters, Preconditions, Read};
 use crate::server::idempotency::{IDEMPOTENCY_KEY, Key};
@@ -98,24 +99,52 @@ impl FromRequest<Arc<App>> for Upload {
 async fn snapshot_world(State(app): State<Arc<App>>, Ask(read): Ask) -> Result<Response, Problem> {
     let any = app.slot(&read.target)?;
     let query = read.query::<NoParameters>();
-    let mut response =
-        with_slot!(any, slot => slot.read(&read, query, cost, |world, _, _| Ok(Content::bytes(written(world)))).await)?;
-    if response.status() == StatusCode::OK {
+    // It is written as it is sent, of the world as it was.
+    let cost = |held: u64| Cost { held, ..Cost::default() };
+    with_slot!(any, slot => {
+        let place = app.shared.snapshot_places.take().await?;
+        let seen = slot.look(&read, query, |world, _| cost(world.bytes()), |world, _, _| Ok(world.clone())).await?;
+        let (revision, Some((world, charge))) = seen else {
+            return Ok(Reply::not_modified().at(seen.0).into_response());
+        };
+        let (sender, receiver) = mpsc::channel(1);
+        std::thread::Builder::new()
+            .name("snapshot".to_owned())
+            .spawn(move || {
+                let sent = world.snapshot(Sink(sender));
+                drop((place, charge));
+                sent
+            })
+            .map_err(|_| Problem::new(Code::Overloaded, "there is no thread for the snapshot; try again later"))?;
+        let mut response = Reply::of(Content::empty()).at(revision).into_response();
+        *response.body_mut() = Body::new(content::Pieces(receiver));
         response.headers_mut().insert(header::CONTENT_TYPE, SNAPSHOT);
+        Ok(response)
+    })
+}
+
+/// Sends what is written to it.
+struct Sink(mpsc::Sender<io::Result<Bytes>>);
+
+impl io::Write for Sink {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let piece = Ok(Bytes::copy_from_slice(bytes));
+        self.0.blocking_send(piece).map_err(|_| io::Error::from(io::ErrorKind::BrokenPipe))?;
+        Ok(bytes.len())
     }
-    Ok(response)
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
 }
 
-fn cost<R: WireReal>(world: &World<R>, _: &NoParameters) -> Cost {
-    let bytes = world.snapshot_bytes();
-    Cost { answer: bytes, ..Cost::of_reading(bytes / 8) }
-}
-
-fn written<R: WireReal>(world: &World<R>) -> Vec<u8> {
-    let bytes = usize::try_from(world.snapshot_bytes()).expect("it was charged, and is within the limit of answers");
-    let mut body = Vec::with_capacity(bytes);
-    world.snapshot(&mut body).expect("a vector takes all");
-    body
+impl Drop for Sink {
+    fn drop(&mut self) {
+        // What was sent so far must not look like the whole.
+        if std::thread::panicking() {
+            let _gone = self.0.blocking_send(Err(io::Error::other("a defect interrupted the snapshot")));
+        }
+    }
 }
 
 /// Restores a world
