@@ -45,7 +45,7 @@ impl Light {
         bench.record_latencies(&format!("light worlds {beside}"), &latencies);
         let p99 = latencies.within(0.99);
         if !beside.starts_with("before") {
-            bench.light.push((beside, latencies));
+            bench.plot.push((beside, latencies));
         }
         self.runs.push(samples);
         p99

@@ -9,41 +9,41 @@
 #![expect(clippy::print_stderr, reason = "failed checks are for whoever runs it")]
 #![expect(clippy::cast_precision_loss, reason = "counts of requests and bytes are far below 2⁵³")]
 
+#[path = "../shared/case.rs"]
+mod case;
+#[path = "../shared/client.rs"]
 mod client;
 #[path = "../shared/colours.rs"]
 mod colours;
+#[path = "../shared/echo.rs"]
 mod echo;
 mod ending;
 mod fairness;
 #[path = "../shared/host.rs"]
 mod host;
+#[path = "../shared/load.rs"]
 mod load;
 mod malformed;
 mod many;
 mod overload;
 mod plot;
+#[path = "../shared/report.rs"]
 mod report;
+#[path = "../shared/server.rs"]
+#[expect(dead_code, reason = "what only the other benchmark of the service asks for")]
 mod server;
 mod slow;
 #[path = "../shared/table.rs"]
 mod table;
 mod throughput;
 mod tick;
+#[path = "../shared/worlds.rs"]
 mod worlds;
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
 
-use report::Bench;
-
-/// A question, and how it is answered.
-pub(crate) struct Case {
-    pub(crate) name: &'static str,
-    pub(crate) title: &'static str,
-    /// What is done and how it is measured, for the reader of the table.
-    pub(crate) note: &'static str,
-    pub(crate) run: fn(&mut Bench),
-}
+use case::Case;
+use report::Page;
 
 /// In the order of the report.
 const CASES: [Case; 8] = [
@@ -57,42 +57,22 @@ const CASES: [Case; 8] = [
     ending::ENDING,
 ];
 
+/// Where a whole run is written.
+const PAGE: Page = Page {
+    name: "load",
+    title: "Load and faults",
+    method: "
+The service is the program that users run, in a process of its own; its clients are on the same machine and take their
+share of its cores. A load goes by the clock: a latency counts from the moment when the schedule has a request, not from
+when a connection was free to send it, and includes the time until the client is awake. What is compared ran in turns. The
+machine may have been shared, so ratios hold better than times.
+
+Every case also checks what it was answered, and writes nothing when a check fails: each accepted advance was applied
+once, each world told its revisions without a gap, and at the end it is, to the bit, the world that the library makes of as
+many advances.
+",
+};
+
 fn main() -> ExitCode {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let has = |wanted: &str| arguments.iter().any(|argument| argument == wanted);
-    if let [first, workers] = &arguments[..]
-        && first == echo::CHILD
-    {
-        echo::serve(workers);
-        return ExitCode::SUCCESS;
-    }
-    let measuring = has("--bench") && !has("--test");
-    if !measuring && has("--list") {
-        return ExitCode::SUCCESS; // For test runners: it is one check without a name.
-    }
-    let filter: Vec<&String> = arguments.iter().filter(|argument| !argument.starts_with("--")).collect();
-    let mut bench = Bench::new(measuring);
-    for case in &CASES {
-        if !filter.is_empty() && !filter.iter().any(|filter| case.name.contains(filter.as_str())) {
-            continue;
-        }
-        bench.case = case.name;
-        if catch_unwind(AssertUnwindSafe(|| (case.run)(&mut bench))).is_err() {
-            bench.check(false, || "it panicked, see above".to_owned());
-        }
-        if measuring {
-            println!("\n{}\n\n{}", case.title, report::table(case, &bench.figures));
-        }
-    }
-    for failure in &bench.failures {
-        eprintln!("failed: {failure}");
-    }
-    if !bench.failures.is_empty() {
-        return ExitCode::FAILURE;
-    }
-    // Only a whole run is worth recording.
-    if arguments == ["--bench"] {
-        report::write(&CASES, &bench).expect("docs/ can be written");
-    }
-    ExitCode::SUCCESS
+    case::run(&CASES, &[(echo::CHILD, echo::serve)])
 }

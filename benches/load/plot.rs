@@ -14,6 +14,9 @@ pub(crate) const TITLE: &str = "How long light worlds wait";
 pub(crate) const CAPTION: &str = "Light worlds at 60 Hz, alone and beside what the cases do to the service: the share of \
                                   requests that took longer. Further left and lower is better; dashed is a tick.";
 
+/// What light worlds waited beside what a case does.
+pub(crate) type Data = Vec<(&'static str, Latencies)>;
+
 const LETTERS: u32 = 24;
 const COLOURS: [RGBColor; 7] = [BLACK, BLUE, RED, GREY, GREEN, RGBColor(204, 121, 167), RGBColor(230, 159, 0)];
 

@@ -12,8 +12,8 @@ struct Advance {
     duration: f64,
 }
 
-pub(crate) fn serve(workers: &str) {
-    let workers = workers.parse().expect("a number");
+pub(crate) fn serve(arguments: &[String]) {
+    let workers = arguments[0].parse().expect("a number");
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(workers).enable_all().build();
     runtime.expect("threads").block_on(async {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("a free port");

@@ -3,9 +3,18 @@
 use std::fmt::Write;
 use std::path::Path;
 
+use crate::case::Case;
 use crate::load::Latencies;
 use crate::table::{aligned, digits, grouped, time};
-use crate::{Case, host, plot};
+use crate::{PAGE, host, plot};
+
+/// The page of a benchmark.
+pub(crate) struct Page {
+    /// Of its files, and as it is called.
+    pub(crate) name: &'static str,
+    pub(crate) title: &'static str,
+    pub(crate) method: &'static str,
+}
 
 /// Collects figures and failed checks.
 #[derive(Debug)]
@@ -17,8 +26,7 @@ pub(crate) struct Bench {
     pub(crate) case: &'static str,
     pub(crate) figures: Vec<Figure>,
     pub(crate) failures: Vec<String>,
-    /// Of the light worlds beside whatever a case does, for the plot.
-    pub(crate) light: Vec<(&'static str, Latencies)>,
+    pub(crate) plot: plot::Data,
 }
 
 #[derive(Debug)]
@@ -26,6 +34,8 @@ pub(crate) struct Figure {
     case: &'static str,
     what: String,
     value: f64,
+    /// The lower and the upper, where the value is a median.
+    quartiles: Option<[f64; 2]>,
     unit: Unit,
     target: Option<Target>,
 }
@@ -50,7 +60,7 @@ impl Bench {
     pub(crate) fn new(measuring: bool) -> Self {
         let average = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
         let others = average.split(' ').next().unwrap_or_default().to_owned();
-        Self { measuring, others, case: "", figures: Vec::new(), failures: Vec::new(), light: Vec::new() }
+        Self { measuring, others, case: "", figures: Vec::new(), failures: Vec::new(), plot: plot::Data::default() }
     }
 
     /// The first when it measures, the second when it only checks.
@@ -66,7 +76,7 @@ impl Bench {
     }
 
     pub(crate) fn record(&mut self, what: impl Into<String>, value: f64, unit: Unit) -> &mut Figure {
-        self.figures.push(Figure { case: self.case, what: what.into(), value, unit, target: None });
+        self.figures.push(Figure { case: self.case, what: what.into(), value, quartiles: None, unit, target: None });
         self.figures.last_mut().expect("it was put there above")
     }
 
@@ -79,6 +89,11 @@ impl Bench {
 }
 
 impl Figure {
+    pub(crate) fn between(&mut self, quartiles: [f64; 2]) -> &mut Self {
+        self.quartiles = Some(quartiles);
+        self
+    }
+
     pub(crate) fn at_least(&mut self, target: f64) {
         self.target = Some(Target::AtLeast(target));
     }
@@ -87,14 +102,17 @@ impl Figure {
         self.target = Some(Target::AtMost(target));
     }
 
-    fn row(&self) -> [String; 4] {
+    fn row(&self) -> [String; 5] {
         let show = |value| self.unit.show(value);
         let (target, is_met) = match self.target {
-            Some(Target::AtLeast(target)) => (format!("≥ {}", show(target)), self.value >= target),
-            Some(Target::AtMost(target)) => (format!("≤ {}", show(target)), self.value <= target),
-            None => return [self.what.clone(), String::new(), show(self.value), String::new()],
+            Some(Target::AtLeast(target)) => (format!("≥ {}", show(target)), Some(self.value >= target)),
+            Some(Target::AtMost(target)) => (format!("≤ {}", show(target)), Some(self.value <= target)),
+            None => (String::new(), None),
         };
-        [self.what.clone(), target, show(self.value), if is_met { "yes" } else { "no" }.to_owned()]
+        let quartiles =
+            self.quartiles.map_or_else(String::new, |[lower, upper]| format!("{} to {}", show(lower), show(upper)));
+        let is_met = is_met.map_or("", |is_met| if is_met { "yes" } else { "no" });
+        [self.what.clone(), target, show(self.value), quartiles, is_met.to_owned()]
     }
 }
 
@@ -107,6 +125,8 @@ impl Unit {
             Self::Seconds => time(1e9 * value),
             Self::PerSecond => format!("{} /s", count()),
             Self::Count => count(),
+            // Of one particle, or of a process.
+            Self::Bytes if value.abs() < 4096.0 => format!("{} B", digits(value)),
             Self::Bytes => format!("{} MiB", digits(value / f64::from(1 << 20))),
             Self::Ratio => format!("{}×", digits(value)),
             Self::Percent => format!("{:.1} %", 100.0 * value),
@@ -124,23 +144,26 @@ impl Unit {
 }
 
 pub(crate) fn table(case: &Case, figures: &[Figure]) -> String {
-    let mut rows = vec![["figure", "target", "measured", "met"].map(str::to_owned).to_vec()];
+    let mut rows = vec![["figure", "target", "measured", "quartiles", "met"].map(str::to_owned).to_vec()];
     rows.extend(figures.iter().filter(|figure| figure.case == case.name).map(|figure| figure.row().to_vec()));
+    if rows[1..].iter().all(|row| row[3].is_empty()) {
+        rows.iter_mut().for_each(|row| _ = row.remove(3));
+    }
     aligned(&rows)
 }
 
-/// Writes `docs/load.md`, `docs/load.csv` and the plot.
+/// Writes the page, every number as CSV, and the plot.
 pub(crate) fn write(cases: &[Case], bench: &Bench) -> Result<(), Box<dyn std::error::Error>> {
+    let Page { name, title, method } = PAGE;
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
-    let mut page =
-        String::from("# Load and faults\n\nWritten by `cargo bench --bench load`; `load.csv` has every number.\n\n");
+    let mut page = format!("# {title}\n\nWritten by `cargo bench --bench {name}`; `{name}.csv` has every number.\n\n");
     for (what, value) in host::description() {
         writeln!(page, "* {what}: {value}")?;
     }
     writeln!(page, "* load average before the run: {}", bench.others)?;
-    page.push_str(METHOD);
-    write!(page, "\n![{}](load.svg)\n\n{}\n", plot::TITLE, plot::CAPTION)?;
-    let mut csv = String::from("case,figure,unit,measured,at_least,at_most\n");
+    page.push_str(method);
+    write!(page, "\n![{}]({name}.svg)\n\n{}\n", plot::TITLE, plot::CAPTION)?;
+    let mut csv = String::from("case,figure,unit,measured,at_least,at_most,lower_quartile,upper_quartile\n");
     for case in cases {
         write!(page, "\n## {}\n\n{}\n\n{}", case.title, case.note, table(case, &bench.figures))?;
     }
@@ -150,23 +173,14 @@ pub(crate) fn write(cases: &[Case], bench: &Bench) -> Result<(), Box<dyn std::er
             Some(Target::AtMost(target)) => (String::new(), target.to_string()),
             None => (String::new(), String::new()),
         };
+        let quartiles =
+            figure.quartiles.map_or_else(|| ",".to_owned(), |[lower, upper]| format!("{lower:.9},{upper:.9}"));
         let Figure { case, what, value, unit, .. } = figure;
-        writeln!(csv, "{case},\"{what}\",{},{value:.9},{least},{most}", unit.name())?;
+        writeln!(csv, "{case},\"{what}\",{},{value:.9},{least},{most},{quartiles}", unit.name())?;
     }
-    plot::draw(&docs.join("load.svg"), &bench.light)?;
-    std::fs::write(docs.join("load.md"), page)?;
-    std::fs::write(docs.join("load.csv"), csv)?;
-    println!("\nwritten: docs/load.md, docs/load.csv and the plot");
+    plot::draw(&docs.join(format!("{name}.svg")), &bench.plot)?;
+    std::fs::write(docs.join(format!("{name}.md")), page)?;
+    std::fs::write(docs.join(format!("{name}.csv")), csv)?;
+    println!("\nwritten: docs/{name}.md, docs/{name}.csv and the plot");
     Ok(())
 }
-
-const METHOD: &str = "
-The service is the program that users run, in a process of its own; its clients are on the same machine and take their
-share of its cores. A load goes by the clock: a latency counts from the moment when the schedule has a request, not from
-when a connection was free to send it, and includes the time until the client is awake. What is compared ran in turns. The
-machine may have been shared, so ratios hold better than times.
-
-Every case also checks what it was answered, and writes nothing when a check fails: each accepted advance was applied
-once, each world told its revisions without a gap, and at the end it is, to the bit, the world that the library makes of as
-many advances.
-";

@@ -26,10 +26,15 @@ impl Server {
         Self::spawn(command, listeners.len())
     }
 
-    /// What it is compared with.
+    /// What it is compared with: an echo with so many threads that answer.
     pub(crate) fn echo(workers: &str) -> Self {
+        Self::this_program(&[echo::CHILD, workers])
+    }
+
+    /// The benchmark started once more, as something that says where it listens.
+    pub(crate) fn this_program(arguments: &[&str]) -> Self {
         let mut command = Command::new(std::env::current_exe().expect("this program"));
-        command.args([echo::CHILD, workers]);
+        command.args(arguments);
         Self::spawn(command, 1)
     }
 
@@ -73,9 +78,14 @@ impl Server {
         self.memory("VmRSS:")
     }
 
-    /// The most that ever were.
+    /// The most that ever were, or since they were forgotten.
     pub(crate) fn peak(&self) -> f64 {
         self.memory("VmHWM:")
+    }
+
+    /// Forgets the most that ever were; whether the system can.
+    pub(crate) fn forget_peak(&self) -> bool {
+        std::fs::write(format!("/proc/{}/clear_refs", self.child.id()), "5").is_ok()
     }
 
     fn memory(&self, what: &str) -> f64 {
