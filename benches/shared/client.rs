@@ -22,7 +22,7 @@ pub(crate) fn request(method: &str, path: &str, body: &str) -> Vec<u8> {
 
 /// A request as it goes over the wire, with headers of its own.
 pub(crate) fn request_with(method: &str, path: &str, headers: &[&str], body: &[u8]) -> Vec<u8> {
-    let headers: String = headers.iter().map(|header| format!("{header}\r\n")).collect();
+    let headers = headers.iter().map(|header| [header, "\r\n"].concat()).collect::<String>();
     let head =
         format!("{method} {path} HTTP/1.1\r\nhost: localhost\r\n{headers}content-length: {}\r\n\r\n", body.len());
     [head.as_bytes(), body].concat()

@@ -147,7 +147,9 @@ pub(crate) fn table(case: &Case, figures: &[Figure]) -> String {
     let mut rows = vec![["figure", "target", "measured", "quartiles", "met"].map(str::to_owned).to_vec()];
     rows.extend(figures.iter().filter(|figure| figure.case == case.name).map(|figure| figure.row().to_vec()));
     if rows[1..].iter().all(|row| row[3].is_empty()) {
-        rows.iter_mut().for_each(|row| _ = row.remove(3));
+        for row in &mut rows {
+            row.remove(3);
+        }
     }
     aligned(&rows)
 }

@@ -63,10 +63,14 @@ fn run(bench: &mut Bench) {
     single.over(&in_json).record(bench, "a request for each / one request, JSON", Unit::Ratio);
     single.over(&in_cbor).record(bench, "a request for each / one request, CBOR", Unit::Ratio);
 
-    singles.iter().for_each(|samples| check_all_accepted(bench, samples));
+    for samples in &singles {
+        check_all_accepted(bench, samples);
+    }
     let answers = texts.iter().map(|answer| from_json(answer)).chain(binaries.iter().map(|answer| from_cbor(answer)));
     let batches: Vec<Samples> = answers.collect();
-    batches.iter().for_each(|samples| check_all_accepted(bench, samples));
+    for samples in &batches {
+        check_all_accepted(bench, samples);
+    }
     worlds.check(bench, &server, &singles.iter().chain(&batches).collect::<Vec<_>>());
 
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a number of worlds")]

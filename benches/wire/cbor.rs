@@ -45,8 +45,8 @@ fn head(major: u8, argument: u64) -> Vec<u8> {
     let major = major << 5;
     match (u8::try_from(argument), u32::try_from(argument)) {
         (Ok(argument), _) if argument < 24 => vec![major | argument],
-        (_, Ok(argument)) => [&[major | 26][..], &argument.to_be_bytes()].concat(),
-        (_, Err(_)) => [&[major | 27][..], &argument.to_be_bytes()].concat(),
+        (_, Ok(argument)) => [&[major | 0x1a][..], &argument.to_be_bytes()].concat(),
+        (_, Err(_)) => [&[major | 0x1b][..], &argument.to_be_bytes()].concat(),
     }
 }
 
@@ -78,7 +78,9 @@ pub(crate) fn vectors<R: Number>(vectors: &[[R; 3]]) -> Vec<u8> {
 
 pub(crate) fn numbers<R: Number>(numbers: &[R]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(size_of_val(numbers));
-    numbers.iter().for_each(|number| number.write(&mut bytes));
+    for number in numbers {
+        number.write(&mut bytes);
+    }
     [head(6, R::TAG), head(2, bytes.len() as u64), bytes].concat()
 }
 
@@ -115,9 +117,9 @@ impl<'a> Value<'a> {
             (3, _) => Self::Text(str::from_utf8(bytes.split_off(..length)?).ok()?),
             (4, _) => Self::List((0..length).map(|_| Self::next(bytes)).collect::<Option<_>>()?),
             (5, _) => {
-                let member = |bytes: &mut &'a [u8]| match Self::next(bytes)? {
-                    Self::Text(name) => Some((name, Self::next(bytes)?)),
-                    _ => None,
+                let member = |bytes: &mut &'a [u8]| {
+                    let Self::Text(name) = Self::next(bytes)? else { return None };
+                    Some((name, Self::next(bytes)?))
                 };
                 Self::Map((0..length).map(|_| member(bytes)).collect::<Option<_>>()?)
             }

@@ -139,7 +139,9 @@ impl Audience {
         let mut client = server.client();
         let scene = Scene::<f64>::new(bench.size(1000, 50), Integrator::NewtonEuler);
         let names: Vec<String> = (0..worlds).map(|i| format!("world{i}")).collect();
-        names.iter().for_each(|name| scene.create(&mut client, name));
+        for name in &names {
+            scene.create(&mut client, name);
+        }
         let by = Advance::by(TICK);
         let advance = if worlds == 1 { scene::advance("world0", by) } else { batch::in_json("world", worlds) };
 

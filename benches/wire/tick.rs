@@ -89,9 +89,9 @@ impl Game {
         }
         let answer = self.client.expect(self.requests.last().expect("at least one"), 200);
         let told = if self.is_cbor {
-            cbor::Value::of(answer.body).and_then(|answer| match answer.member("results")? {
-                cbor::Value::List(results) => Columns::<f64>::from_value(results.last()?),
-                _ => None,
+            cbor::Value::of(answer.body).and_then(|answer| {
+                let cbor::Value::List(results) = answer.member("results")? else { return None };
+                Columns::<f64>::from_value(results.last()?)
             })
         } else if self.requests.len() == 1 {
             let results = &answer.json()["results"];

@@ -90,7 +90,8 @@ impl<R: WireReal> Follower<R> {
             match if is_few(count) { tell() } else { in_pool(tell).await } {
                 Ok(event) => {
                     self.interest.since = Some(revision);
-                    self.due = Instant::now() + self.interest.period;
+                    // By the clock, so that what comes at the same rate is told each time.
+                    self.due = (self.due + self.interest.period).max(Instant::now());
                     return Ok(event);
                 }
                 Err(problem) if problem.code == Code::Overloaded => tokio::time::sleep(BREATH).await,

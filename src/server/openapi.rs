@@ -249,8 +249,7 @@ fn of_operation(operation: &str) -> Vec<Code> {
             codes.push(Code::LengthMismatch);
         }
         "follow_world" => codes.push(Code::UnknownParticle),
-        "list_particles" => codes.extend([Code::UnknownParticle, Code::AnswerTooLarge]),
-        "read_state" => codes.extend([Code::UnknownParticle, Code::AnswerTooLarge]),
+        "list_particles" | "read_state" => codes.extend([Code::UnknownParticle, Code::AnswerTooLarge]),
         "set_particles" => {
             codes.extend(masses);
             codes.extend(properties);

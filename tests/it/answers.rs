@@ -239,8 +239,8 @@ fn large_reads_of_a_batch_are_of_their_moments() {
     client.post("/v1/worlds/moments/particles", r#"{"count":6000,"velocity":[1,2,3]}"#).expect(201);
     let commands = r#"{"commands":[{"read":{}},{"advance":{"duration":1}},{"read":{}},{"remove":{"ids":[5]}},
         {"advance":{"duration":1,"return":["position","velocity"]}}]}"#;
-    for (rounds, accept) in [(0, None), (1, Some(CBOR))] {
-        let round = f64::from(rounds * 2);
+    for (rounds, accept) in [(0_u32, None), (1, Some(CBOR))] {
+        let (round, removed) = (f64::from(rounds * 2), u64::from(rounds));
         let accept: Vec<_> = accept.into_iter().collect();
         let commands = commands.replace("[5]", &format!("[{}]", 5 + rounds));
         let path = "/v1/worlds/moments/commands";
@@ -253,8 +253,8 @@ fn large_reads_of_a_batch_are_of_their_moments() {
             let position = flat(&state["position"], false);
             let expected = [1.0_f64, 2.0, 3.0].map(|v| Some((v * (time + round)).to_bits()));
             assert_eq!(
-                (state["time"].as_f64(), position.len()),
-                (Some(time + round), 3 * (count - rounds as usize)),
+                (state["time"].as_f64(), position.len() as u64),
+                (Some(time + round), 3 * (count - removed)),
                 "{index}"
             );
             assert!(position.chunks_exact(3).all(|position| position == expected), "{index}");

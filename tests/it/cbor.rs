@@ -46,7 +46,8 @@ fn float(x: f64, style: Style) -> Vec<u8> {
     let single = x as f32;
     if style == Style::Streamed {
         if x == x.trunc() && x.abs() < 1e15 && (x != 0.0 || x.is_sign_positive()) {
-            return if x < 0.0 { head(1, (-x) as u64 - 1) } else { head(0, x as u64) };
+            let whole = x.abs().to_string().parse::<u64>().expect("a whole number");
+            return if x < 0.0 { head(1, whole - 1) } else { head(0, whole) };
         }
         if f64::from(single).to_bits() == x.to_bits() {
             return [&[0xfa], &single.to_be_bytes()[..]].concat();
@@ -129,9 +130,9 @@ fn hex(digits: &str) -> Vec<u8> {
     digits.chunks(2).map(pair).collect()
 }
 
-fn world(client: &mut Client, name: &str, settings: Value) -> String {
+fn world(client: &mut Client, name: &str, settings: &Value) -> String {
     let path = format!("/v1/worlds/{name}");
-    send(client, "PUT", &path, &encode(&settings, Style::Plain)).expect(201);
+    send(client, "PUT", &path, &encode(settings, Style::Plain)).expect(201);
     path
 }
 
@@ -146,7 +147,8 @@ proptest! {
     /// library, to which the same is asked of JSON.
     #[test]
     fn bodies_in_cbor_do_what_they_do_in_json(steps in steps(24)) {
-        let styles: [fn(&Value) -> (&'static str, Vec<u8>); 4] = [
+        type Encode = fn(&Value) -> (&'static str, Vec<u8>);
+        let styles: [Encode; 4] = [
             |value| ("application/cbor", encode(value, Style::Plain)),
             |value| ("application/cbor", encode(value, Style::Streamed)),
             |value| ("application/cbor", encode(value, Style::Typed)),
@@ -173,7 +175,7 @@ proptest! {
         let mut client = service.client();
         let path = "/v1/worlds/cbor-broken";
         client.delete(path);
-        world(&mut client, "cbor-broken", json!({"precision": precision}));
+        world(&mut client, "cbor-broken", &json!({"precision": precision}));
         client.post(&format!("{path}/particles"), "{\"count\":5}").expect(201);
         let before = digest(&mut client, path);
         for (method, route, body) in requests() {
@@ -223,7 +225,7 @@ fn requests() -> Vec<(&'static str, &'static str, Value)> {
 fn a_body_that_is_cut_short_is_not_cbor() {
     let service = shared();
     let mut client = service.client();
-    let path = world(&mut client, "cbor-cut", json!({}));
+    let path = world(&mut client, "cbor-cut", &json!({}));
     client.post(&format!("{path}/particles"), "{\"count\":5}").expect(201);
     let before = digest(&mut client, &path);
     for style in Style::ALL {
@@ -245,7 +247,7 @@ fn a_body_that_is_cut_short_is_not_cbor() {
 fn the_examples_of_the_rfcs_are_read() {
     let service = shared();
     let mut client = service.client();
-    world(&mut client, "cbor-rfc", json!({}));
+    world(&mut client, "cbor-rfc", &json!({}));
     let mut damping = |number: &str| -> Result<f64, Value> {
         let body = [hex("a1 67 64616d70696e67"), hex(number)].concat();
         let answer = send(&mut client, "POST", "/v1/worlds/cbor-rfc/particles", &body);
@@ -337,7 +339,7 @@ fn typed_arrays_are_columns() {
     let service = shared();
     let mut client = service.client();
     for precision in ["single", "double"] {
-        let path = world(&mut client, &format!("cbor-typed-{precision}"), json!({"precision": precision}));
+        let path = world(&mut client, &format!("cbor-typed-{precision}"), &json!({"precision": precision}));
         let le64 = |numbers: &[f64]| tagged(86, &numbers.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>());
         let mut create = |members: &[(&str, Vec<u8>)]| {
             let members: Vec<Vec<u8>> =
@@ -395,7 +397,7 @@ fn typed_arrays_are_columns() {
 fn numbers_that_are_not_finite_are_refused_everywhere() {
     let service = shared();
     let mut client = service.client();
-    let path = world(&mut client, "cbor-finite", json!({"precision": "single"}));
+    let path = world(&mut client, "cbor-finite", &json!({"precision": "single"}));
     let particles = format!("{path}/particles");
     client.post(&particles, "{}").expect(201);
     for bits in ["f97c00", "fa7fc00000", "fbfff0000000000000"].map(hex) {
@@ -425,7 +427,7 @@ fn numbers_that_are_not_finite_are_refused_everywhere() {
 fn depths_and_lengths_are_refused_at_no_cost() {
     let service = Service::with(|config| config.in_flight_bytes_max = 64 << 20);
     let mut client = service.client();
-    let path = world(&mut client, "a", json!({}));
+    let path = world(&mut client, "a", &json!({}));
     client.post(&format!("{path}/particles"), "{\"count\":2}").expect(201);
     let before = digest(&mut client, &path);
     let deep = 100_000;
@@ -480,7 +482,7 @@ fn depths_and_lengths_are_refused_at_no_cost() {
 fn what_a_body_becomes_is_charged_before_it_is_parsed() {
     let service = Service::with(|config| config.in_flight_bytes_max = 8 << 20);
     let mut client = service.client();
-    let path = world(&mut client, "a", json!({}));
+    let path = world(&mut client, "a", &json!({}));
     let list = |byte: u8, count: usize| [head(4, count as u64), vec![byte; count]].concat();
     let columns =
         |column: Vec<u8>, count: u64| [head(5, 2), text("count"), head(0, count), text("damping"), column].concat();
@@ -503,7 +505,7 @@ fn commands_for_many_worlds_come_in_cbor() {
     for style in Style::ALL {
         let worlds = [format!("cbor-a-{style:?}"), format!("cbor-b-{style:?}")];
         for name in &worlds {
-            world(&mut client, name, json!({"gravity": "standard"}));
+            world(&mut client, name, &json!({"gravity": "standard"}));
         }
         let commands = json!({"worlds": {
             &worlds[0]: {"commands": [
@@ -527,7 +529,7 @@ fn commands_for_many_worlds_come_in_cbor() {
 fn refusals_come_in_their_order() {
     let service = shared();
     let mut client = service.client();
-    let path = world(&mut client, "cbor-order", json!({}));
+    let path = world(&mut client, "cbor-order", &json!({}));
     let stale = [("content-type", "application/cbor"), ("if-match", "\"9\"")];
     let unknown = encode(&json!({"damp": 1}), Style::Plain);
     for (target, body, status) in [

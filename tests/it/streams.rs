@@ -226,7 +226,7 @@ impl Socket {
     fn send(&mut self, opcode: u8, payload: &[u8]) {
         let mask = [0x12, 0x34, 0x56, 0x78];
         let length = u16::try_from(payload.len()).expect("a short frame").to_be_bytes();
-        let mut frame = vec![0x80 | opcode, 0x80 | 126, length[0], length[1]];
+        let mut frame = vec![0x80 | opcode, 0x80 | 0x7e, length[0], length[1]];
         frame.extend_from_slice(&mask);
         frame.extend(payload.iter().zip(mask.iter().cycle()).map(|(byte, mask)| byte ^ mask));
         self.0.raw(&frame);
