@@ -12,7 +12,7 @@ use crate::world::{Block, ParticleState, World};
 const BLOCK: usize = 1024;
 
 /// Bytes from which on a piece is sent: sockets take as much at once, and it stays in the cache.
-pub(crate) const PIECE_BYTES: usize = 192 << 10;
+pub(crate) const PIECE_BYTES: usize = 256 << 10;
 
 /// The state of some particles as columns: a map with `time`, `count`, `id`, and those that were asked for.
 #[derive(Debug, Clone)]

@@ -149,7 +149,7 @@ impl Content {
 
     pub(crate) fn into_body(mut self) -> Body {
         if self.shared.is_some() {
-            let (sender, receiver) = mpsc::channel(1);
+            let (sender, receiver) = mpsc::channel(2);
             tokio::spawn(async move { self.send(&sender).await });
             return Body::new(Pieces(receiver));
         }

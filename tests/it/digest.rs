@@ -288,3 +288,14 @@ fn the_service_answers_with_the_digest_of_the_library() {
     }
     client.get("/v1/worlds/digest-4/digest").expect(404);
 }
+
+/// However many particles there are, the answer is as short.
+#[test]
+fn a_large_world_has_a_digest_over_http() {
+    let service = crate::service::shared();
+    let mut client = service.client();
+    client.put("/v1/worlds/large-digest", "").expect(201);
+    client.post("/v1/worlds/large-digest/particles", r#"{"count":200000}"#).expect(201);
+    client.get("/v1/worlds/large-digest/digest").expect(200);
+    client.delete("/v1/worlds/large-digest").expect(204);
+}
