@@ -36,6 +36,16 @@ pub(crate) fn fetch<'a>(client: &'a mut Client, request: &'a [u8], bytes: usize)
     })
 }
 
+/// How long a change takes; its answer is as long as its revision.
+pub(crate) fn change<'a>(client: &'a mut Client, request: &'a [u8]) -> Contender<'a> {
+    Box::new(move || {
+        let start = Instant::now();
+        let fetched = client.fetch(request).unwrap_or_else(|error| panic!("no answer: {error}"));
+        assert!(fetched > 0, "it is described");
+        start.elapsed().as_secs_f64()
+    })
+}
+
 /// How long it takes to copy so many bytes in memory.
 pub(crate) fn memcpy(bytes: usize) -> Contender<'static> {
     let (from, mut to) = (vec![1_u8; bytes], vec![0_u8; bytes]);

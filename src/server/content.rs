@@ -237,7 +237,12 @@ impl Later {
             AnyColumns::Single(world, columns) => columns.write(world, bytes, writer),
             AnyColumns::Double(world, columns) => columns.write(world, bytes, writer),
         };
-        into.append(&mut writer.bytes);
+        // Without a copy; the room that was made for this piece takes the next one.
+        if into.is_empty() {
+            std::mem::swap(into, &mut writer.bytes);
+        } else {
+            into.append(&mut writer.bytes);
+        }
         more
     }
 }
