@@ -67,7 +67,7 @@ impl<R: WireReal> Follower<R> {
         Ok(Self { app: Arc::clone(app), slot, target, interest, due: Instant::now() })
     }
 
-    /// Waits for a change, and until it is time to tell it: the revision, and the event after a beginning of its own.
+    /// Waits for a change, and until it is time to tell it: the event, after a beginning that follows from its revision.
     /// Nothing is lost when this is given up.
     ///
     /// # Errors
@@ -80,6 +80,8 @@ impl<R: WireReal> Follower<R> {
             let world = self.slot.view(&self.target).await?;
             let revision = world.revision();
             if self.interest.since == Some(revision) {
+                // Or the next change would have to copy what nobody reads.
+                drop(world);
                 changed.await;
                 continue;
             }
