@@ -82,9 +82,10 @@ impl Service {
         let (parts, body) = self.runtime.block_on(async {
             let (parts, body) = self.service.clone().oneshot(request).await.expect("infallible").into_parts();
             // A stream does not end: whoever asked goes away.
-            let is_stream = parts.headers.get(header::CONTENT_TYPE).is_some_and(|kind| {
-                matches!(kind.as_bytes(), b"text/event-stream" | b"application/jsonl")
-            });
+            let is_stream = parts
+                .headers
+                .get(header::CONTENT_TYPE)
+                .is_some_and(|kind| matches!(kind.as_bytes(), b"text/event-stream" | b"application/jsonl"));
             let body = if is_stream { Body::empty() } else { body };
             (parts, to_bytes(body, usize::MAX).await.expect("in memory"))
         });
