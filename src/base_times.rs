@@ -73,7 +73,15 @@ impl BaseTimes {
         self.distinct[self.index(row)].time
     }
 
-    /// Which of [`Self::distinct`] it has.
+    /// Which of [`Self::distinct`] each has; `None` when all have the first.
+    pub(crate) fn indices(&self) -> Option<&[u32]> {
+        match &self.of {
+            Column::Uniform(_) => None,
+            Column::PerParticle(of) => Some(of),
+        }
+    }
+
+    /// Which of them one has.
     pub(crate) fn index(&self, row: usize) -> usize {
         self.of.get(row) as usize
     }

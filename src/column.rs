@@ -143,14 +143,19 @@ pub(crate) fn make_room<T>(values: &mut Vec<T>, more: usize) {
     }
 }
 
-/// Removes one value, whose place the last one takes; gives room back when a fifth is not used.
+/// Removes one value, whose place the last one takes; gives back room that is not used.
 pub(crate) fn swap_remove<T>(values: &mut Vec<T>, index: usize) -> T {
     let removed = values.swap_remove(index);
-    let len = values.len();
-    if len + len / 4 + 64 < values.capacity() {
-        values.shrink_to(len + len / 16);
-    }
+    give_back(values);
     removed
+}
+
+/// Gives room back when more than a sixteenth of it is not used.
+pub(crate) fn give_back<T>(values: &mut Vec<T>) {
+    let len = values.len();
+    if len + len / 16 + 64 < values.capacity() {
+        values.shrink_to(len + len / 32);
+    }
 }
 
 #[cfg(test)]

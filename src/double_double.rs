@@ -1,7 +1,8 @@
 //! Numbers of about 106 bits as an unevaluated sum of two doubles.
 //!
 //! Source: T. J. Dekker, "A floating-point technique for extending the available precision", Numerische Mathematik 18
-//! (1971). Products are split, not fused: a fused multiply-add is slow where the CPU has none, and the bits are the same.
+//! (1971). What a product loses is itself a double: splitting the factors finds it, and so does a fused multiply-add where
+//! the CPU has one. The bits are the same.
 
 #![expect(clippy::inline_always, reason = "a call that is not inlined leaves the instruction set of its caller")]
 
@@ -18,19 +19,14 @@ pub(crate) trait Lane:
     + Div<Output = Self>
     + Neg<Output = Self>
 {
+    /// What rounding took from a product of this and another, for factors below 2⁹⁹⁶ and a product that is not subnormal.
+    #[inline(always)]
+    fn lost_in_product(self, other: Self, product: Self) -> Self {
+        lost_in_product(self, other, product)
+    }
 }
 
-impl<T> Lane for T where
-    T: Copy
-        + Add<Output = T>
-        + Add<f64, Output = T>
-        + Sub<Output = T>
-        + Mul<Output = T>
-        + Mul<f64, Output = T>
-        + Div<Output = T>
-        + Neg<Output = T>
-{
-}
+impl Lane for f64 {}
 
 /// `hi + lo` with `hi` the double nearest to the sum.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -68,10 +64,7 @@ impl<T: Lane> DoubleDouble<T> {
     #[inline(always)]
     pub(crate) fn product(a: T, b: T) -> Self {
         let hi = a * b;
-        let (a_hi, a_lo) = split(a);
-        let (b_hi, b_lo) = split(b);
-        let lo = ((a_hi * b_hi - hi) + a_hi * b_lo + a_lo * b_hi) + a_lo * b_lo;
-        Self { hi, lo }
+        Self { hi, lo: a.lost_in_product(b, hi) }
     }
 
     /// Both words times a power of two.
@@ -79,6 +72,13 @@ impl<T: Lane> DoubleDouble<T> {
     pub(crate) fn scaled(self, power: T) -> Self {
         Self { hi: self.hi * power, lo: self.lo * power }
     }
+}
+
+#[inline(always)]
+pub(crate) fn lost_in_product<T: Lane>(a: T, b: T, product: T) -> T {
+    let (a_hi, a_lo) = split(a);
+    let (b_hi, b_lo) = split(b);
+    ((a_hi * b_hi - product) + a_hi * b_lo + a_lo * b_hi) + a_lo * b_lo
 }
 
 /// The upper 26 and the lower 26 bits of `a` (Veltkamp).

@@ -1,6 +1,5 @@
 //! Which row of the columns each particle lives in.
 
-use std::collections::BTreeMap;
 use std::ops::Range;
 
 use crate::column;
@@ -23,22 +22,31 @@ pub(crate) struct Ids {
     table: Option<Table>,
 }
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 struct Table {
     id_of: Vec<u64>,
-    /// Rows by `id / PAGE`: five bytes for an id, also where many of a page are gone, and ids in order.
-    pages: BTreeMap<u64, Page>,
-}
-
-/// The rows of the ids of a page that are there, in order of id.
-#[derive(Debug, Clone, Default)]
-struct Page {
-    /// A bit for each id.
-    present: u64,
+    /// Up to `PAGE` ids each, in order.
+    pages: Vec<Page>,
+    /// The rows of all pages, one after the other.
     rows: Vec<u32>,
+    /// How many of those are `GONE`.
+    gone: usize,
 }
 
-const PAGE: u64 = 64;
+/// The ids from `number * PAGE` on.
+#[derive(Debug, Clone, Copy)]
+struct Page {
+    number: u64,
+    /// A bit for each that has a place among the rows.
+    placed: u128,
+    /// Where its rows begin.
+    first: usize,
+}
+
+const PAGE: u64 = 128;
+
+/// In the place of the row of an id that is gone.
+const GONE: u32 = u32::MAX;
 
 impl Ids {
     /// The most rows that a world can have.
@@ -57,11 +65,11 @@ impl Ids {
         let mut sorted: Vec<(u64, u32)> = id_of.iter().copied().zip(0..).collect();
         sorted.sort_unstable();
         let is_strict = sorted.is_sorted_by(|a, b| a.0 < b.0) && sorted.last().is_none_or(|(last, _)| *last < next);
-        let pages = sorted.chunk_by(|a, b| a.0 / PAGE == b.0 / PAGE).map(|page| {
-            let present = page.iter().fold(0, |present, (id, _)| present | Page::bit(*id));
-            (page[0].0 / PAGE, Page { present, rows: page.iter().map(|(_, row)| *row).collect() })
-        });
-        is_strict.then(|| Self { next, table: Some(Table { pages: pages.collect(), id_of }) })
+        let mut table = Table { id_of, ..Table::default() };
+        for (id, row) in sorted {
+            table.place(id, row);
+        }
+        is_strict.then_some(Self { next, table: Some(table) })
     }
 
     pub(crate) fn len(&self) -> usize {
@@ -74,7 +82,10 @@ impl Ids {
     /// What they take, about.
     #[cfg(feature = "server")]
     pub(crate) fn bytes(&self) -> u64 {
-        self.table.as_ref().map_or(0, |table| (table.id_of.len() * (size_of::<u64>() + 5)) as u64)
+        self.table.as_ref().map_or(0, |table| {
+            let lists = (size_of_val(&*table.id_of), size_of_val(&*table.rows), size_of_val(&*table.pages));
+            (lists.0 + lists.1 + lists.2) as u64
+        })
     }
 
     pub(crate) fn next(&self) -> u64 {
@@ -102,10 +113,13 @@ impl Ids {
     /// Ids and rows in ascending order of id, from the first id that is at least `from`.
     pub(crate) fn from(&self, from: u64) -> impl Iterator<Item = (ParticleId, usize)> {
         let identity = if self.table.is_none() { from..self.next } else { 0..0 };
-        let pages = self.table.iter().flat_map(move |table| table.pages.range(from / PAGE..));
+        let entries = self.table.iter().flat_map(move |table| {
+            let first = table.pages.partition_point(|page| page.number < from / PAGE);
+            table.pages[first..].iter().flat_map(|page| page.entries(&table.rows))
+        });
         identity
             .map(|id| (id, u32::try_from(id).expect("rows are counted in 32 bits")))
-            .chain(pages.flat_map(|(page, rows)| rows.entries(page * PAGE)).filter(move |(id, _)| *id >= from))
+            .chain(entries.filter(move |(id, _)| *id >= from))
             .map(|(id, row)| (ParticleId(id), row as usize))
     }
 
@@ -126,13 +140,14 @@ impl Ids {
         let row = self.row(id)?;
         let len = self.len();
         let table = self.table.get_or_insert_with(|| {
-            let mut table = Table { id_of: Vec::with_capacity(len), pages: BTreeMap::new() };
+            let mut table = Table { id_of: Vec::with_capacity(len), rows: Vec::with_capacity(len), ..Table::default() };
             (0..len as u64).for_each(|id| table.push(id));
             table
         });
         column::swap_remove(&mut table.id_of, row);
         if let Some(&moved) = table.id_of.get(row) {
-            table.set_row(moved, u32::try_from(row).expect("rows are counted in 32 bits"));
+            let place = table.place_of(moved).expect("a row has an id that is there");
+            table.rows[place] = u32::try_from(row).expect("rows are counted in 32 bits");
         }
         table.forget(id.0);
         Some(row)
@@ -141,57 +156,91 @@ impl Ids {
 
 impl Table {
     fn row(&self, id: u64) -> Option<usize> {
-        let page = self.pages.get(&(id / PAGE))?;
-        page.contains(id).then(|| page.rows[page.rank(id)] as usize)
+        self.place_of(id).map(|place| self.rows[place] as usize)
+    }
+
+    /// Where its row stands.
+    fn place_of(&self, id: u64) -> Option<usize> {
+        let page = &self.pages[self.page(id / PAGE)?];
+        let place = page.first + (page.placed & (bit(id) - 1)).count_ones() as usize;
+        (page.placed & bit(id) != 0 && self.rows[place] != GONE).then_some(place)
+    }
+
+    /// Which of the pages has a number. While none before it is gone, it is as far from the first as the numbers are.
+    fn page(&self, number: u64) -> Option<usize> {
+        let ahead = usize::try_from(number.checked_sub(self.pages.first()?.number)?).unwrap_or(usize::MAX);
+        let last = ahead.min(self.pages.len() - 1);
+        if self.pages[last].number == number {
+            return Some(last);
+        }
+        self.pages[..last].binary_search_by_key(&number, |page| page.number).ok()
     }
 
     fn push(&mut self, id: u64) {
         let row = u32::try_from(self.id_of.len()).expect("the world checked the number of rows");
         column::make_room(&mut self.id_of, 1);
         self.id_of.push(id);
-        self.set_row(id, row);
+        self.place(id, row);
     }
 
-    fn set_row(&mut self, id: u64, row: u32) {
-        let page = self.pages.entry(id / PAGE).or_default();
-        let rank = page.rank(id);
-        if page.contains(id) {
-            page.rows[rank] = row;
-        } else {
-            page.present |= Page::bit(id);
-            page.rows.insert(rank, row);
+    /// Gives an id that is greater than all others a row.
+    fn place(&mut self, id: u64, row: u32) {
+        let number = id / PAGE;
+        if self.pages.last().is_none_or(|last| last.number != number) {
+            column::make_room(&mut self.pages, 1);
+            self.pages.push(Page { number, placed: 0, first: self.rows.len() });
         }
+        let page = self.pages.last_mut().expect("pushed if there was none");
+        page.placed |= bit(id);
+        column::make_room(&mut self.rows, 1);
+        self.rows.push(row);
     }
 
     fn forget(&mut self, id: u64) {
-        let page = self.pages.get_mut(&(id / PAGE)).expect("the id was found");
-        page.rows.remove(page.rank(id));
-        page.present &= !Page::bit(id);
-        if page.present == 0 {
-            self.pages.remove(&(id / PAGE));
-        } else if page.rows.len() + 8 <= page.rows.capacity() {
-            page.rows.shrink_to_fit();
+        let place = self.place_of(id).expect("the id was found");
+        self.rows[place] = GONE;
+        self.gone += 1;
+        if self.gone > self.id_of.len() / 16 + 64 {
+            self.close_gaps();
         }
+    }
+
+    /// Takes out what is gone.
+    fn close_gaps(&mut self) {
+        let mut len = 0;
+        for page in &mut self.pages {
+            let (mut placed, first) = (0, len);
+            for (id, place) in page.places() {
+                if self.rows[place] != GONE {
+                    placed |= bit(id);
+                    self.rows[len] = self.rows[place];
+                    len += 1;
+                }
+            }
+            (page.placed, page.first) = (placed, first);
+        }
+        self.rows.truncate(len);
+        self.pages.retain(|page| page.placed != 0);
+        self.gone = 0;
+        column::give_back(&mut self.rows);
+        column::give_back(&mut self.pages);
     }
 }
 
 impl Page {
-    fn bit(id: u64) -> u64 {
-        1 << (id % PAGE)
+    /// Its ids, and where their rows stand.
+    fn places(&self) -> impl Iterator<Item = (u64, usize)> + use<> {
+        let (placed, first) = (self.placed, self.number * PAGE);
+        (first..first + PAGE).filter(move |id| placed & bit(*id) != 0).zip(self.first..)
     }
 
-    fn contains(&self, id: u64) -> bool {
-        self.present & Self::bit(id) != 0
+    fn entries(&self, rows: &[u32]) -> impl Iterator<Item = (u64, u32)> {
+        self.places().map(|(id, place)| (id, rows[place])).filter(|(_, row)| *row != GONE)
     }
+}
 
-    /// How many ids of the page are there before this one.
-    fn rank(&self, id: u64) -> usize {
-        (self.present & (Self::bit(id) - 1)).count_ones() as usize
-    }
-
-    fn entries(&self, first: u64) -> impl Iterator<Item = (u64, u32)> {
-        (first..first + PAGE).filter(|id| self.contains(*id)).zip(self.rows.iter().copied())
-    }
+fn bit(id: u64) -> u128 {
+    1 << (id % PAGE)
 }
 
 #[cfg(test)]
@@ -239,6 +288,7 @@ mod tests {
             let first = ids.create(1000).0;
             (first..first + 1000).for_each(|id| assert!(ids.remove(ParticleId(id)).is_some()));
         }
-        assert_eq!(ids.table.expect("something was removed").pages.len(), 0);
+        let table = ids.table.expect("something was removed");
+        assert!(table.pages.len() + table.rows.len() <= 130, "{table:?}");
     }
 }

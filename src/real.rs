@@ -40,7 +40,9 @@ impl Display for Precision {
 }
 
 mod sealed {
-    use fearless_simd::{Simd, SimdBase, SimdFloat, SimdFloatElement, SimdNarrow, SimdWiden};
+    use fearless_simd::{
+        ExtractToken, Simd, SimdBase, SimdFloat, SimdFloatElement, SimdNarrow, SimdWiden, f32x4, f64x4,
+    };
 
     pub trait Sealed: Sized + SimdFloatElement {
         /// A vector register of these.
@@ -49,6 +51,10 @@ mod sealed {
         fn load<S: Simd>(simd: S, from: &[Self]) -> (S::f64s, S::f64s);
         /// The same back, each rounded to the nearest.
         fn store<S: Simd>(values: (S::f64s, S::f64s), to: &mut [Self]);
+        /// A register of four doubles, from as many of these.
+        fn load_four<S: Simd>(simd: S, from: &[Self; 4]) -> f64x4<S>;
+        /// The same back, each rounded to the nearest.
+        fn store_four<S: Simd>(values: f64x4<S>, to: &mut [Self; 4]);
         /// The bytes of one.
         #[cfg(feature = "snapshot")]
         const BYTES: usize;
@@ -88,6 +94,17 @@ mod sealed {
         fn store<S: Simd>((low, high): (S::f64s, S::f64s), to: &mut [Self]) {
             low.narrow(high).store_slice(to);
         }
+        #[inline(always)]
+        fn load_four<S: Simd>(simd: S, from: &[Self; 4]) -> f64x4<S> {
+            let (low, high) = simd.widen_f32x4(f32x4::from_slice(simd, from));
+            simd.combine_f64x2(low, high)
+        }
+        #[inline(always)]
+        fn store_four<S: Simd>(values: f64x4<S>, to: &mut [Self; 4]) {
+            let simd = values.token();
+            let (low, high) = simd.split_f64x4(values);
+            simd.narrow_f64x2(low, high).store_slice(to);
+        }
     }
     impl Sealed for f64 {
         #[cfg(feature = "snapshot")]
@@ -103,6 +120,14 @@ mod sealed {
             let (to_low, to_high) = to.split_at_mut(S::f64s::LEN);
             low.store_slice(to_low);
             high.store_slice(to_high);
+        }
+        #[inline(always)]
+        fn load_four<S: Simd>(simd: S, from: &[Self; 4]) -> f64x4<S> {
+            f64x4::from_slice(simd, from)
+        }
+        #[inline(always)]
+        fn store_four<S: Simd>(values: f64x4<S>, to: &mut [Self; 4]) {
+            values.store_slice(to);
         }
     }
 }

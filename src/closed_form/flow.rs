@@ -2,16 +2,13 @@
 
 #![expect(clippy::inline_always, reason = "a call that is not inlined leaves the instruction set of its caller")]
 
-use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, dispatch};
+use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, dispatch, f64x4};
 
-use super::{ClosedForm, LANES_MAX};
+use super::{Among, ClosedForm, LANES_MAX};
 use crate::real::Real;
 
 /// Registers of doubles that are computed together: whole particles, also of registers of singles.
 const TOGETHER: usize = 6;
-
-/// E, φ, ψ, `rest` and A.
-type Five<T> = [T; 5];
 
 /// The same form and acceleration for all particles.
 #[derive(Debug, Clone, Copy)]
@@ -50,130 +47,119 @@ impl<S: Simd> Held<S> {
             acceleration: [register(0), register(1), register(2)],
         }
     }
-}
 
-/// Forms and accelerations of some particles, for each of their components.
-#[derive(Debug, Default)]
-pub(crate) struct Terms {
-    spread: Five<Vec<f64>>,
-    /// One for each particle, before they are spread: numbers that were just stored one by one are slow to load as a
-    /// register.
-    each: [Vec<f64>; 4],
-}
-
-impl Terms {
-    pub(crate) fn set_forms(&mut self, level: Level, forms: impl ExactSizeIterator<Item = ClosedForm>) {
-        let count = forms.len();
-        self.each.iter_mut().for_each(|column| column.resize(count, 0.0));
-        let [kept, phi, psi, rest] = &mut self.each;
-        let places = kept.iter_mut().zip(phi).zip(psi.iter_mut().zip(rest));
-        for (((kept, phi), (psi, rest)), form) in places.zip(forms) {
-            (*kept, *phi, *psi, *rest) = (form.kept, form.phi, form.psi, form.rest);
-        }
-        for (column, each) in self.spread.iter_mut().zip(&self.each) {
-            column.resize(padded(count), 0.0);
-            dispatch!(level, simd => spread(simd, each, column));
-        }
-    }
-
-    /// Lets one of the particles keep every bit.
-    pub(crate) fn keep_still(&mut self, index: usize) {
-        self.spread[3][3 * index..3 * index + 3].fill(ClosedForm::STILL.rest);
-    }
-
-    pub(crate) fn set_accelerations(&mut self, accelerations: impl ExactSizeIterator<Item = [f64; 3]>) {
-        let column = &mut self.spread[4];
-        column.resize(padded(accelerations.len()), 0.0);
-        for (place, acceleration) in column.as_chunks_mut::<3>().0.iter_mut().zip(accelerations) {
-            *place = acceleration;
-        }
-    }
-
-    /// Takes positions and velocities along the closed form.
-    pub(crate) fn carry<R: Real>(&self, level: Level, p: &mut [[R; 3]], v: &mut [[R; 3]]) {
-        dispatch!(level, simd => carry(simd, self, p.as_flattened_mut(), v.as_flattened_mut()));
-    }
-}
-
-/// Where registers of terms come from. A trait and not a closure, which is not always inlined.
-trait Source<S: Simd> {
-    /// Those of the `k`th register from a component on.
-    fn terms(&self, simd: S, at: usize, k: usize) -> Five<S::f64s>;
-}
-
-impl<S: Simd> Source<S> for Held<S> {
+    /// E, φ, ψ, `rest` and A of the `k`th register.
     #[inline(always)]
-    fn terms(&self, _: S, _: usize, k: usize) -> Five<S::f64s> {
+    fn terms(&self, k: usize) -> [S::f64s; 5] {
         let [kept, phi, psi, rest] = self.form;
         [kept, phi, psi, rest, self.acceleration[k % 3]]
     }
 }
 
-impl<S: Simd> Source<S> for Terms {
-    #[inline(always)]
-    fn terms(&self, simd: S, at: usize, k: usize) -> Five<S::f64s> {
-        let [kept, phi, psi, rest, a] = &self.spread;
-        let (from, to) = (at + k * S::f64s::LEN, at + (k + 1) * S::f64s::LEN);
-        [
-            S::f64s::from_slice(simd, &kept[from..to]),
-            S::f64s::from_slice(simd, &phi[from..to]),
-            S::f64s::from_slice(simd, &psi[from..to]),
-            S::f64s::from_slice(simd, &rest[from..to]),
-            S::f64s::from_slice(simd, &a[from..to]),
-        ]
+/// Positions and velocities of some particles.
+pub(crate) type Motion<'a, R> = (&'a [[R; 3]], &'a [[R; 3]]);
+
+/// Takes each of some particles along the one of the forms that it names, and writes where it is then.
+pub(crate) fn carry_each<R: Real>(
+    level: Level,
+    forms: (&[ClosedForm], &[u32]),
+    accelerations: Among<'_, [f64; 3]>,
+    from: Motion<'_, R>,
+    (to_p, to_v): (&mut [[R; 3]], &mut [[R; 3]]),
+) {
+    let from = (from.0.as_flattened(), from.1.as_flattened());
+    let to = (to_p.as_flattened_mut(), to_v.as_flattened_mut());
+    assert!([from.0.len(), from.1.len(), to.0.len(), to.1.len()] == [3 * forms.1.len(); 4]);
+    dispatch!(level, simd => match accelerations {
+        Among::Uniform(a) => each(simd, forms, std::iter::repeat(&a), from, to),
+        Among::Each(a) => each(simd, forms, a, from, to),
+    });
+}
+
+/// A register holds the three components of a particle, so that its form is loaded into all lanes at once. In the fourth
+/// lane is what comes behind the particle, and is written anew when its turn comes.
+#[inline(always)]
+fn each<'a, S: Simd, R: Real>(
+    simd: S,
+    (forms, named): (&[ClosedForm], &[u32]),
+    accelerations: impl IntoIterator<Item = &'a [f64; 3]>,
+    from: (&[R], &[R]),
+    to: (&mut [R], &mut [R]),
+) {
+    let mut accelerations = accelerations.into_iter();
+    let mut next = || *accelerations.next().expect("as many as particles");
+    let Some((last, named)) = named.split_last() else { return };
+    for (i, name) in named.iter().enumerate() {
+        let (p, v) = (four_from(from.0, 3 * i), four_from(from.1, 3 * i));
+        let (p, v) = carry_four(simd, forms[*name as usize], next(), p, v);
+        R::store_four(p, to.0[3 * i..].first_chunk_mut().expect("one more particle"));
+        R::store_four(v, to.1[3 * i..].first_chunk_mut().expect("one more particle"));
+    }
+    let at = 3 * named.len();
+    let alone = |numbers: &[R]| std::array::from_fn(|k| numbers.get(at + k).copied().unwrap_or(R::ZERO));
+    let (p, v) = carry_four(simd, forms[*last as usize], next(), &alone(from.0), &alone(from.1));
+    for (end, to) in [(p, to.0), (v, to.1)] {
+        let mut four = [R::ZERO; 4];
+        R::store_four(end, &mut four);
+        to[at..].copy_from_slice(&four[..3]);
     }
 }
 
-/// Components of some particles, filled up to whole registers.
-fn padded(count: usize) -> usize {
-    (3 * count).next_multiple_of(TOGETHER * LANES_MAX)
+#[inline(always)]
+fn four_from<R: Real>(numbers: &[R], at: usize) -> &[R; 4] {
+    numbers[at..].first_chunk().expect("one more particle")
 }
 
 #[inline(always)]
-fn spread<S: Simd>(_: S, each: &[f64], components: &mut [f64]) {
-    for (three, value) in components.as_chunks_mut::<3>().0.iter_mut().zip(each) {
-        *three = [*value; 3];
-    }
+fn carry_four<S: Simd, R: Real>(
+    simd: S,
+    form: ClosedForm,
+    [x, y, z]: [f64; 3],
+    p: &[R; 4],
+    v: &[R; 4],
+) -> (f64x4<S>, f64x4<S>) {
+    let ClosedForm { kept, phi, psi, rest } = form;
+    let [kept, phi, psi, rest] = [kept, phi, psi, rest].map(|of| f64x4::splat(simd, of));
+    let a = f64x4::from_slice(simd, &[x, y, z, 0.0]);
+    carry_register::<S, R, _>(simd, [kept, phi, psi, rest, a], R::load_four(simd, p), R::load_four(simd, v))
 }
 
 #[inline(always)]
-fn carry<S: Simd, R: Real>(simd: S, source: &impl Source<S>, p: &mut [R], v: &mut [R]) {
+fn carry<S: Simd, R: Real>(simd: S, held: &Held<S>, p: &mut [R], v: &mut [R]) {
     let len = TOGETHER * S::f64s::LEN;
     let (mut p, mut v) = (p.chunks_exact_mut(len), v.chunks_exact_mut(len));
-    let mut at = 0;
     for (p, v) in p.by_ref().zip(v.by_ref()) {
-        carry_together(simd, source, at, p, v);
-        at += len;
+        carry_together(simd, held, p, v);
     }
     let (p, v) = (p.into_remainder(), v.into_remainder());
     if !p.is_empty() {
         let (mut own_p, mut own_v) = ([R::ZERO; TOGETHER * LANES_MAX], [R::ZERO; TOGETHER * LANES_MAX]);
         own_p[..p.len()].copy_from_slice(p);
         own_v[..v.len()].copy_from_slice(v);
-        carry_together(simd, source, at, &mut own_p[..len], &mut own_v[..len]);
+        carry_together(simd, held, &mut own_p[..len], &mut own_v[..len]);
         p.copy_from_slice(&own_p[..p.len()]);
         v.copy_from_slice(&own_v[..v.len()]);
     }
 }
 
 #[inline(always)]
-fn carry_together<S: Simd, R: Real>(simd: S, source: &impl Source<S>, at: usize, p: &mut [R], v: &mut [R]) {
+fn carry_together<S: Simd, R: Real>(simd: S, held: &Held<S>, p: &mut [R], v: &mut [R]) {
     let pair = 2 * S::f64s::LEN;
     for (k, (p, v)) in p.chunks_exact_mut(pair).zip(v.chunks_exact_mut(pair)).enumerate() {
         let (places, speeds) = (R::load(simd, p), R::load(simd, v));
-        let first = carry_register::<S, R>(simd, source.terms(simd, at, 2 * k), places.0, speeds.0);
-        let second = carry_register::<S, R>(simd, source.terms(simd, at, 2 * k + 1), places.1, speeds.1);
+        let first = carry_register::<S, R, _>(simd, held.terms(2 * k), places.0, speeds.0);
+        let second = carry_register::<S, R, _>(simd, held.terms(2 * k + 1), places.1, speeds.1);
         R::store::<S>((first.0, second.0), p);
         R::store::<S>((first.1, second.1), v);
     }
 }
 
 /// Computed in double, before it is rounded once. A damped velocity that has become too small to matter is a zero of its
-/// own sign.
+/// own sign. The terms are E, φ, ψ, `rest` and A.
 #[inline(always)]
-fn carry_register<S: Simd, R: Real>(simd: S, terms: Five<S::f64s>, p: S::f64s, v: S::f64s) -> (S::f64s, S::f64s) {
+fn carry_register<S: Simd, R: Real, V: SimdFloat<S, Element = f64>>(simd: S, terms: [V; 5], p: V, v: V) -> (V, V) {
     let [kept, phi, psi, rest, a] = terms;
-    let zero = S::f64s::splat(simd, 0.0);
+    let zero = V::splat(simd, 0.0);
     let speed = v * kept + a * phi;
     let is_slow = speed.abs().simd_lt(rest * R::REST_UNROUNDED);
     let is_still = rest.simd_lt(zero);

@@ -4,7 +4,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use fearless_simd::{ExtractToken, Select, Simd, SimdBase, SimdFloat, SimdMask};
 
-use crate::double_double::Lane;
+use crate::double_double::{Lane, lost_in_product};
 
 const FRACTION: u64 = (1 << 52) - 1;
 
@@ -145,6 +145,18 @@ impl<S: Simd> Neg for Register<S> {
     #[inline(always)]
     fn neg(self) -> Self {
         Self(-self.0)
+    }
+}
+
+impl<S: Simd> Lane for Register<S> {
+    #[inline(always)]
+    fn lost_in_product(self, other: Self, product: Self) -> Self {
+        // Instruction sets with registers of four doubles and more have a fused multiply-add.
+        if Self::LEN >= 4 {
+            Self(self.0.mul_sub_precise(other.0, product.0))
+        } else {
+            lost_in_product(self, other, product)
+        }
     }
 }
 

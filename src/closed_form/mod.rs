@@ -20,10 +20,12 @@
 mod flow;
 mod lanes;
 
+use std::cell::Cell;
+
 use fearless_simd::{Level, Simd, dispatch};
 
 use crate::double_double::DoubleDouble;
-pub(crate) use flow::{Same, Terms};
+pub(crate) use flow::{Motion, Same, carry_each};
 use lanes::{LANES_MAX, Lanes, Register};
 
 /// A value for each of some particles: the same one, or one for each.
@@ -59,10 +61,20 @@ pub(crate) struct Decay {
 }
 
 impl Decay {
-    /// For `0 <= damping <= 1`.
+    /// For `0 <= damping <= 1`. A thread remembers the last one: it takes as long as to carry a hundred particles, and most
+    /// scenes have one damping.
     pub(crate) fn of(damping: f64) -> Self {
+        thread_local! {
+            static LAST: Cell<(f64, Decay)> = Cell::new((f64::NAN, Decay::default()));
+        }
+        let (last, decay) = LAST.get();
+        if last == damping {
+            return decay;
+        }
         let lambda = lambda(damping);
-        Self { lambda, inverse: one(damping) / lambda }
+        let decay = Self { lambda, inverse: one(damping) / lambda };
+        LAST.set((damping, decay));
+        decay
     }
 
     /// The same with a resistance of `rate` in 1/s, at least 0, beside the damping.
@@ -81,11 +93,11 @@ impl Decay {
 
     /// E, φ and ψ over a time up to 2⁴⁰⁰.
     pub(crate) fn over(&self, time: f64) -> ClosedForm {
+        if self.lambda.hi == 0.0 {
+            return undamped(time);
+        }
         if time == 0.0 {
             return ClosedForm::STILL;
-        }
-        if self.lambda.hi == 0.0 {
-            return ClosedForm { kept: 1.0, phi: time, psi: time * (0.5 * time), rest: 0.0 };
         }
         if !self.is_ordinary(time) {
             return self.over_extreme(time);
@@ -120,6 +132,12 @@ impl Decay {
     }
 }
 
+#[inline(always)]
+fn undamped(time: f64) -> ClosedForm {
+    let moving = ClosedForm { kept: 1.0, phi: time, psi: time * (0.5 * time), rest: 0.0 };
+    if time == 0.0 { ClosedForm::STILL } else { moving }
+}
+
 /// λ of each damping.
 pub(crate) fn decays(level: Level, dampings: &[f64], decays: &mut [Decay]) {
     assert!(dampings.len() == decays.len());
@@ -132,7 +150,7 @@ pub(crate) fn closed_forms(level: Level, decays: Among<'_, Decay>, times: &[f64]
     if let Among::Uniform(decay) = decays
         && decay.lambda.hi == 0.0
     {
-        return forms.iter_mut().zip(times).for_each(|(form, time)| *form = decay.over(*time));
+        return forms.iter_mut().zip(times).for_each(|(form, time)| *form = undamped(*time));
     }
     dispatch!(level, simd => match decays {
         Among::Uniform(decay) => each_form(simd, |_| decay, times, forms),
@@ -175,12 +193,11 @@ fn each_form<S: Simd>(simd: S, decay: impl Fn(usize) -> Decay, times: &[f64], fo
             ordinary(load(&lambda_hi, &lambda_lo), load(&inverse_hi, &inverse_lo), Register::load(simd, &time));
         let (kept, phi, psi) = (kept.store(), phi.store(), psi.store());
         for (lane, (form, time)) in forms.iter_mut().zip(times).enumerate() {
+            *form = ClosedForm { kept: kept[lane], phi: phi[lane], psi: psi[lane], rest: 1.0 };
             let decay = decay(chunk * len + lane);
-            *form = if decay.lambda.hi > 0.0 && decay.is_ordinary(*time) {
-                ClosedForm { kept: kept[lane], phi: phi[lane], psi: psi[lane], rest: 1.0 }
-            } else {
-                decay.over(*time)
-            };
+            if decay.lambda.hi == 0.0 || !decay.is_ordinary(*time) {
+                *form = decay.over(*time);
+            }
         }
     }
 }

@@ -436,13 +436,6 @@ impl<R: Real> World<R> {
         }
     }
 
-    fn copy_bases(&self, rows: &Rows<'_>, p: &mut Vec<[R; 3]>, v: &mut Vec<[R; 3]>) {
-        p.clear();
-        v.clear();
-        motion::copy_rows(&self.particles.position, rows, p);
-        motion::copy_rows(&self.particles.velocity, rows, v);
-    }
-
     /// Refuses an advance at whose end something is not finite.
     fn look_ahead(
         &self,
@@ -469,8 +462,9 @@ impl<R: Real> World<R> {
             if moves {
                 forces.flow(self, &rows, &mut p, &mut v);
             } else {
-                self.copy_bases(&rows, &mut p, &mut v);
-                deferred.carry(self, &rows, &mut p, &mut v);
+                p.clear();
+                v.clear();
+                deferred.read(self, &rows, &mut p, &mut v);
             }
             for (row, (p, v)) in rows.iter().zip(p.iter().zip(&v)) {
                 if moves || !self.particles.is_forced(row) {
@@ -486,20 +480,21 @@ impl<R: Real> World<R> {
 }
 
 /// Takes particles to where they are now, and on under the force.
-struct Forced {
-    start: Carrier,
-    end: Carrier,
+struct Forced<R: Real> {
+    start: Carrier<R>,
+    end: Carrier<R>,
 }
 
-impl Forced {
-    fn new<R: Real>(world: &World<R>, count: usize, duration: f64) -> Self {
+impl<R: Real> Forced<R> {
+    fn new(world: &World<R>, count: usize, duration: f64) -> Self {
         let start = Carrier::new(world, Span::To(world.clock), false, count);
         Self { start, end: Carrier::new(world, Span::By(duration), true, count) }
     }
 
-    fn flow<R: Real>(&mut self, world: &World<R>, rows: &Rows<'_>, p: &mut Vec<[R; 3]>, v: &mut Vec<[R; 3]>) {
-        world.copy_bases(rows, p, v);
-        self.start.carry(world, rows, p, v);
+    fn flow(&mut self, world: &World<R>, rows: &Rows<'_>, p: &mut Vec<[R; 3]>, v: &mut Vec<[R; 3]>) {
+        p.clear();
+        v.clear();
+        self.start.read(world, rows, p, v);
         self.end.carry(world, rows, p, v);
     }
 }

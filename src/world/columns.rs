@@ -69,7 +69,7 @@ impl<R: Real> Block<R> {
             }
             let mut room = std::mem::take(&mut self.room);
             room.clear();
-            self.rows().blocks().for_each(|rows| world.read_block(&mut carrier, &rows, &mut room));
+            self.rows().blocks().for_each(|rows| carrier.read(world, &rows, &mut room.position, &mut room.velocity));
             (self.room, self.is_carried) = (room, true);
         }
         (&self.room.position, &self.room.velocity)

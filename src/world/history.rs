@@ -307,7 +307,7 @@ impl<R: Real> World<R> {
                 let mut block = States::default();
                 for rows in Rows::List(&perhaps).blocks() {
                     block.clear();
-                    self.read_block(&mut carrier, &rows, &mut block);
+                    carrier.read(self, &rows, &mut block.position, &mut block.velocity);
                     for (row, velocity) in rows.iter().zip(&block.velocity).filter(|(_, v)| **v == zero()) {
                         let keeps_signs = self.particles.damping.get(row) == R::ZERO;
                         let sign = |(k, x): (u8, &R)| u8::from(!keeps_signs && !is_bare_zero(*x)) << k;

@@ -424,7 +424,7 @@ impl<R: Real> World<R> {
                 (rows, at) = (every.by_ref().take(limit).collect(), 0);
                 let list: Vec<usize> = rows.iter().map(|(_, row)| *row).collect();
                 block.clear();
-                self.read_block(&mut carrier, &Rows::List(&list), &mut block);
+                carrier.read(self, &Rows::List(&list), &mut block.position, &mut block.velocity);
             }
             let (id, row) = *rows.get(at)?;
             at += 1;
@@ -461,14 +461,7 @@ impl<R: Real> World<R> {
     /// Appends positions and velocities.
     fn read_rows(&self, rows: Rows<'_>, into: &mut States<R>) {
         let mut carrier = Carrier::new(self, Span::To(self.clock), false, rows.len());
-        rows.blocks().for_each(|rows| self.read_block(&mut carrier, &rows, into));
-    }
-
-    fn read_block(&self, carrier: &mut Carrier, rows: &Rows<'_>, into: &mut States<R>) {
-        let old = into.position.len();
-        motion::copy_rows(&self.particles.position, rows, &mut into.position);
-        motion::copy_rows(&self.particles.velocity, rows, &mut into.velocity);
-        carrier.carry(self, rows, &mut into.position[old..], &mut into.velocity[old..]);
+        rows.blocks().for_each(|rows| carrier.read(self, &rows, &mut into.position, &mut into.velocity));
     }
 
     /// Shows all particles, in ascending order of id, in blocks that stay in the cache: the fastest way to look at every
@@ -492,7 +485,7 @@ impl<R: Real> World<R> {
         let mut show = |ids: &mut dyn Iterator<Item = ParticleId>, rows: &Rows<'_>| {
             block.clear();
             block.id.extend(ids);
-            self.read_block(&mut carrier, rows, &mut block);
+            carrier.read(self, rows, &mut block.position, &mut block.velocity);
             visit(&block);
         };
         if let Some(range) = self.ids.rows_from(ParticleId(0), count) {

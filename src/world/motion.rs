@@ -2,9 +2,10 @@
 
 use std::ops::Range;
 
-use crate::closed_form::{Among, ClosedForm, Decay, Same, Terms, closed_forms, decays};
+use crate::closed_form::{Among, ClosedForm, Decay, Motion, Same, carry_each, closed_forms, decays};
 use crate::column::Column;
 use crate::double_double::DoubleDouble;
+use crate::particles::zero;
 use crate::real::Real;
 use crate::world::World;
 
@@ -50,7 +51,7 @@ impl<'a> Rows<'a> {
 }
 
 /// Appends the values of some rows.
-pub(super) fn copy_rows<T: Copy>(column: &[T], rows: &Rows<'_>, into: &mut Vec<T>) {
+fn copy_rows<T: Copy>(column: &[T], rows: &Rows<'_>, into: &mut Vec<T>) {
     match rows {
         Rows::Range(range) => into.extend_from_slice(&column[range.clone()]),
         Rows::List(list) => into.extend(list.iter().map(|&row| column[row])),
@@ -68,7 +69,7 @@ pub(super) enum Span {
 
 /// Carries particles along the closed form. E, φ and ψ are computed once where many particles share damping and time.
 #[derive(Debug)]
-pub(super) struct Carrier {
+pub(super) struct Carrier<R: Real> {
     span: Span,
     /// Whether the force acts as well.
     forced: bool,
@@ -79,16 +80,20 @@ pub(super) struct Carrier {
     forms: Vec<ClosedForm>,
     /// What carries all of them, if it is the same.
     same: Option<Same>,
-    /// Whether the acceleration is, and set already.
-    uniform_acceleration: bool,
-    /// What carries a block otherwise.
+    /// The acceleration, if that is.
+    uniform_acceleration: Option<[f64; 3]>,
+    /// Which of the forms carries each particle of a block.
+    named: Vec<u32>,
+    /// What carries it otherwise.
     own_forms: Vec<ClosedForm>,
-    terms: Terms,
+    own_accelerations: Vec<[f64; 3]>,
+    /// Where a block starts that is not carried from the columns.
+    start: (Vec<[R; 3]>, Vec<[R; 3]>),
 }
 
-impl Carrier {
+impl<R: Real> Carrier<R> {
     /// For `count` particles in all.
-    pub(super) fn new<R: Real>(world: &World<R>, span: Span, forced: bool, count: usize) -> Self {
+    pub(super) fn new(world: &World<R>, span: Span, forced: bool, count: usize) -> Self {
         let particles = &world.particles;
         let mut times = Vec::new();
         match span {
@@ -106,17 +111,24 @@ impl Carrier {
             forms.resize(times.len(), ClosedForm::default());
             closed_forms(world.level, Among::Uniform(Decay::of(damping.into())), &times, &mut forms);
         }
-        let uniform = particles.uniform_acceleration(world.gravity()).filter(|_| !forced);
-        let same = match (forms.as_slice(), uniform) {
-            ([form], Some(a)) if particles.resting_count() == 0 => Some(Same::new(*form, a.map(Into::into))),
+        let uniform_acceleration =
+            particles.uniform_acceleration(world.gravity()).filter(|_| !forced).map(|a| a.map(Into::into));
+        let same = match (forms.as_slice(), uniform_acceleration) {
+            ([form], Some(a)) if particles.resting_count() == 0 => Some(Same::new(*form, a)),
             _ => None,
         };
-        let mut terms = Terms::default();
-        if let (Some(a), None) = (uniform, &same) {
-            terms.set_accelerations(std::iter::repeat_n(a.map(Into::into), count.min(BLOCK)));
+        Self {
+            span,
+            forced,
+            still,
+            forms,
+            same,
+            uniform_acceleration,
+            named: Vec::new(),
+            own_forms: Vec::new(),
+            own_accelerations: Vec::new(),
+            start: (Vec::new(), Vec::new()),
         }
-        let uniform_acceleration = uniform.is_some();
-        Self { span, forced, still, forms, same, uniform_acceleration, own_forms: Vec::new(), terms }
     }
 
     /// Whether everybody is where the columns say.
@@ -125,34 +137,90 @@ impl Carrier {
         self.still
     }
 
+    /// Appends positions and velocities of at most a block of rows, carried from the columns.
+    pub(super) fn read(&mut self, world: &World<R>, rows: &Rows<'_>, p: &mut Vec<[R; 3]>, v: &mut Vec<[R; 3]>) {
+        let (positions, velocities) = (&world.particles.position, &world.particles.velocity);
+        let old = p.len();
+        if let (Rows::Range(range), None, false) = (rows, &self.same, self.still) {
+            p.resize(old + rows.len(), zero());
+            v.resize(old + rows.len(), zero());
+            let from = (&positions[range.clone()], &velocities[range.clone()]);
+            self.carry_each(world, rows, from, (&mut p[old..], &mut v[old..]));
+        } else {
+            copy_rows(positions, rows, p);
+            copy_rows(velocities, rows, v);
+            self.carry(world, rows, &mut p[old..], &mut v[old..]);
+        }
+    }
+
     /// Carries at most a block of rows, from the given positions and velocities.
-    pub(super) fn carry<R: Real>(&mut self, world: &World<R>, rows: &Rows<'_>, p: &mut [[R; 3]], v: &mut [[R; 3]]) {
+    pub(super) fn carry(&mut self, world: &World<R>, rows: &Rows<'_>, p: &mut [[R; 3]], v: &mut [[R; 3]]) {
         if self.still {
             return;
         }
         if let Some(same) = &self.same {
             return same.carry(world.level, p, v);
         }
+        let mut start = std::mem::take(&mut self.start);
+        start.0.clear();
+        start.0.extend_from_slice(p);
+        start.1.clear();
+        start.1.extend_from_slice(v);
+        self.carry_each(world, rows, (&start.0, &start.1), (p, v));
+        self.start = start;
+    }
+
+    fn carry_each(
+        &mut self,
+        world: &World<R>,
+        rows: &Rows<'_>,
+        from: Motion<'_, R>,
+        to: (&mut [[R; 3]], &mut [[R; 3]]),
+    ) {
+        let indices = world.particles.base_time.indices().filter(|_| matches!(self.span, Span::To(_)));
+        let forms = match (rows, indices) {
+            _ if self.forms.is_empty() || world.particles.resting_count() > 0 => {
+                self.set_own_forms(world, rows, indices);
+                self.named.clear();
+                self.named.extend((0..).take(rows.len()));
+                (self.own_forms.as_slice(), self.named.as_slice())
+            }
+            (Rows::Range(range), Some(indices)) => (self.forms.as_slice(), &indices[range.clone()]),
+            (_, _) => {
+                self.named.clear();
+                self.named.extend(rows.iter().map(|row| indices.map_or(0, |indices| indices[row])));
+                (self.forms.as_slice(), self.named.as_slice())
+            }
+        };
+        let accelerations = self.uniform_acceleration.map_or_else(
+            || {
+                let acceleration = |row| if self.forced { world.driving(row) } else { world.acceleration(row) };
+                self.own_accelerations.clear();
+                self.own_accelerations.extend(rows.iter().map(acceleration));
+                Among::Each(&self.own_accelerations)
+            },
+            Among::Uniform,
+        );
+        carry_each(world.level, forms, accelerations, from, to);
+    }
+
+    /// The form of each row of a block; those that rest keep every bit.
+    fn set_own_forms(&mut self, world: &World<R>, rows: &Rows<'_>, indices: Option<&[u32]>) {
         if self.forms.is_empty() {
             self.compute_forms(world, rows);
-            self.terms.set_forms(world.level, self.own_forms.iter().copied());
         } else {
-            let (span, forms) = (self.span, &self.forms);
-            self.terms.set_forms(world.level, rows.iter().map(|row| forms[time_of(span, world, row)]));
+            let index = |row| indices.map_or(0, |indices| indices[row] as usize);
+            self.own_forms.clear();
+            self.own_forms.extend(rows.iter().map(|row| self.forms[index(row)]));
         }
         if world.particles.resting_count() > 0 {
-            let resting = rows.iter().enumerate().filter(|(_, row)| world.particles.is_resting(*row));
-            resting.for_each(|(index, _)| self.terms.keep_still(index));
+            let resting = rows.iter().zip(&mut self.own_forms).filter(|(row, _)| world.particles.is_resting(*row));
+            resting.for_each(|(_, form)| *form = ClosedForm::STILL);
         }
-        if !self.uniform_acceleration {
-            let acceleration = |row| if self.forced { world.driving(row) } else { world.acceleration(row) };
-            self.terms.set_accelerations(rows.iter().map(acceleration));
-        }
-        self.terms.carry(world.level, p, v);
     }
 
     /// E, φ and ψ of each row of a block.
-    fn compute_forms<R: Real>(&mut self, world: &World<R>, rows: &Rows<'_>) {
+    fn compute_forms(&mut self, world: &World<R>, rows: &Rows<'_>) {
         let times: Vec<f64> = match self.span {
             Span::To(clock) => rows.iter().map(|row| (clock - world.particles.base_time.get(row)).hi).collect(),
             Span::By(time) => vec![time; rows.len()],
@@ -170,14 +238,6 @@ impl Carrier {
                 closed_forms(world.level, Among::Each(&rates), &times, &mut self.own_forms);
             }
         }
-    }
-}
-
-/// Which of the times a row has.
-fn time_of<R: Real>(span: Span, world: &World<R>, row: usize) -> usize {
-    match span {
-        Span::To(_) => world.particles.base_time.index(row),
-        Span::By(_) => 0,
     }
 }
 
@@ -220,11 +280,8 @@ impl<R: Real> World<R> {
             return rows.iter().for_each(|row| self.rebase(row));
         }
         let (mut p, mut v) = (Vec::with_capacity(count), Vec::with_capacity(count));
-        copy_rows(&self.particles.position, rows, &mut p);
-        copy_rows(&self.particles.velocity, rows, &mut v);
         let mut carrier = Carrier::new(self, Span::To(self.clock), false, count);
-        let ends = p.chunks_mut(BLOCK).zip(v.chunks_mut(BLOCK));
-        rows.clone().blocks().zip(ends).for_each(|(rows, (p, v))| carrier.carry(self, &rows, p, v));
+        rows.clone().blocks().for_each(|rows| carrier.read(self, &rows, &mut p, &mut v));
         let particles = &mut *self.particles;
         for (row, (p, v)) in rows.iter().zip(p.into_iter().zip(v)) {
             particles.set_base(row, p, v, self.clock);
