@@ -48,10 +48,16 @@ fn plain<R: Real>(step: Step<R>, a: R, d: Option<(R, R)>, steps: u64, mut p: R, 
     (p, v)
 }
 
-/// Any finite number, or a small one as scenes have them.
+/// Any finite number, a zero, one at which velocities come to rest, or one as scenes have them.
 fn number<R: Real>(bits: u64) -> R {
     let any = R::nearest(f64::from_bits(bits));
-    if bits.is_multiple_of(4) && any.is_finite() { any } else { R::nearest((bits >> 12) as f64 / 1e15 - 2.0) }
+    let of_a_scene = R::nearest((bits >> 12) as f64 / 1e15 - 2.0);
+    match bits % 8 {
+        0 | 1 if any.is_finite() => any,
+        2 => R::ZERO,
+        3 | 4 => of_a_scene * R::REST,
+        _ => of_a_scene,
+    }
 }
 
 /// `shape` is that of the damping; `uniform` that of the acceleration.
