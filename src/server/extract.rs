@@ -161,11 +161,16 @@ impl FromRequest<Arc<App>> for Change {
         let limit = state.config.body_bytes_max;
         let limit = if is_bulk { limit } else { limit.min(SMALL_BODY_BYTES_MAX) };
         let mut charge = Charge::none(&state.shared.in_flight);
-        let body = read_body(&parts.headers, body, encoding, limit, &mut charge);
-        let bytes = tokio::time::timeout(state.config.body_timeout(), body).await.map_err(|_| {
-            let timeout = state.config.body_timeout_ms;
-            Problem::new(Code::BodyTimeout, format!("the body did not arrive within {timeout} ms"))
-        })??;
+        let reading = Reading { limit, byte_bytes: encoding.byte_bytes(), piece_bytes: 0 };
+        let pieces = reading.pieces(state, &parts.headers, body, &mut charge, |unread| match unread {
+            Unread::TooLarge => {
+                let detail = format!("the body is larger than {limit} bytes (--{BODY_BYTES_MAX})");
+                Problem::new(Code::BodyTooLarge, detail)
+            }
+            Unread::CutShort => Problem::new(encoding.malformed(), "the body was cut short"),
+        });
+        let mut pieces = pieces.await?;
+        let bytes = if pieces.len() == 1 { pieces.swap_remove(0) } else { pieces.concat().into() };
         let body = Body { bytes, encoding };
         // A small one in JSON is charged for already.
         if is_bulk || encoding == Encoding::Cbor {
@@ -206,49 +211,81 @@ fn canonical_id(text: &str) -> Option<ParticleId> {
     text.parse().ok().filter(|id: &u64| id.to_string() == text).map(ParticleId)
 }
 
-/// Reads a body within its limit, and charges it before it is there where its length is declared.
-async fn read_body(
-    headers: &HeaderMap,
-    body: axum::body::Body,
-    encoding: Encoding,
-    limit: usize,
-    charge: &mut Charge,
-) -> Result<Bytes, Problem> {
-    let too_large =
-        || Problem::new(Code::BodyTooLarge, format!("the body is larger than {limit} bytes (--{BODY_BYTES_MAX})"));
-    let declared = headers.get(header::CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse::<usize>().ok());
-    if declared.is_some_and(|length| length > limit) {
-        return Err(too_large());
-    }
-    charge.grow(declared.unwrap_or(0) as u64 * encoding.byte_bytes())?;
-    let mut body = Limited::new(body, limit);
-    let mut parts = Vec::new();
-    while let Some(frame) = body.frame().await {
-        match frame.map(Frame::into_data) {
-            Ok(Ok(data)) => {
-                charge.grow(if declared.is_none() { data.len() as u64 * encoding.byte_bytes() } else { 0 })?;
-                parts.push(data);
-            }
-            // Trailers say nothing here.
-            Ok(Err(_)) => {}
-            Err(error) if error.is::<http_body_util::LengthLimitError>() => return Err(too_large()),
-            Err(_) => return Err(Problem::new(encoding.malformed(), "the body was cut short")),
+/// How a body is read.
+pub(crate) struct Reading {
+    /// Bytes.
+    pub(crate) limit: usize,
+    /// What each of its bytes is charged.
+    pub(crate) byte_bytes: u64,
+    /// What each piece of it is charged.
+    pub(crate) piece_bytes: u64,
+}
+
+/// Why a body is not read.
+pub(crate) enum Unread {
+    TooLarge,
+    CutShort,
+}
+
+impl Reading {
+    /// Reads a body in the pieces in which it comes. It is charged before it is there where its length is declared.
+    pub(crate) async fn pieces(
+        &self,
+        state: &App,
+        headers: &HeaderMap,
+        body: axum::body::Body,
+        charge: &mut Charge,
+        refused: impl Fn(Unread) -> Problem,
+    ) -> Result<Vec<Bytes>, Problem> {
+        let declared =
+            headers.get(header::CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse::<usize>().ok());
+        if declared.is_some_and(|length| length > self.limit) {
+            return Err(refused(Unread::TooLarge));
         }
+        charge.grow(declared.unwrap_or(0) as u64 * self.byte_bytes)?;
+        let mut body = Limited::new(body, self.limit);
+        let mut pieces = Vec::new();
+        let read = async {
+            while let Some(frame) = body.frame().await {
+                match frame.map(Frame::into_data) {
+                    Ok(Ok(data)) => {
+                        let bytes = if declared.is_none() { data.len() as u64 * self.byte_bytes } else { 0 };
+                        charge.grow(bytes + self.piece_bytes)?;
+                        pieces.push(data);
+                    }
+                    // Trailers say nothing here.
+                    Ok(Err(_)) => {}
+                    Err(error) if error.is::<http_body_util::LengthLimitError>() => {
+                        return Err(refused(Unread::TooLarge));
+                    }
+                    Err(_) => return Err(refused(Unread::CutShort)),
+                }
+            }
+            Ok(())
+        };
+        tokio::time::timeout(state.config.body_timeout(), read).await.map_err(|_| {
+            let timeout = state.config.body_timeout_ms;
+            Problem::new(Code::BodyTimeout, format!("the body did not arrive within {timeout} ms"))
+        })??;
+        Ok(pieces)
     }
-    Ok(match parts.len() {
-        1 => parts.swap_remove(0),
-        _ => parts.concat().into(),
-    })
+}
+
+/// Refuses a body that is packed.
+pub(crate) fn check_coding(headers: &HeaderMap) -> Result<(), Problem> {
+    match headers.get(header::CONTENT_ENCODING) {
+        Some(coding) if !coding.as_bytes().eq_ignore_ascii_case(b"identity") => {
+            let detail = format!("a body with Content-Encoding {coding:?} is not read; send it as it is");
+            Err(Problem::new(Code::UnsupportedMediaType, detail))
+        }
+        Some(_) | None => Ok(()),
+    }
 }
 
 /// A body in CBOR says so; one in JSON may say so, say nothing, or come from a plain `curl -d`.
 fn check_content(headers: &HeaderMap) -> Result<Encoding, Problem> {
     let unsupported = |detail: String| Err(Problem::new(Code::UnsupportedMediaType, detail));
-    if let Some(encoding) = headers.get(header::CONTENT_ENCODING)
-        && !encoding.as_bytes().eq_ignore_ascii_case(b"identity")
-    {
-        return unsupported(format!("a body with Content-Encoding {encoding:?} is not read; send it as it is"));
-    }
+    check_coding(headers)?;
     let Some(content_type) = headers.get(header::CONTENT_TYPE) else { return Ok(Encoding::Json) };
     // What nearly all of them are needs no parsing.
     if content_type.is_empty() || content_type == "application/json" {

@@ -8,8 +8,6 @@ use axum::extract::{FromRequest, FromRequestParts, Request, State};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
-use http_body_util::{BodyExt, Limited};
-use hyper::body::Frame;
 use mediatype::MediaType;
 use tokio::sync::mpsc;
 use utoipa_axum::{router::OpenApiRouter, routes};
@@ -21,7 +19,7 @@ use crate::server::App;
 use crate::server::config::SNAPSHOT_BYTES_MAX;
 use crate::server::content::{self, Content};
 use crate::server::encoding::{self, Encoding};
-use crate::server::extract::{self, Change, NoParameters, Preconditions, Read};
+use crate::server::extract::{self, Change, NoParameters, Preconditions, Read, Reading, Unread};
 use crate::server::idempotency::{IDEMPOTENCY_KEY, Key};
 use crate::server::json::WireReal;
 use crate::server::memory::{Charge, PARTICLE_BYTES, PIECE_BYTES, RESTORED_BYTES};
@@ -68,11 +66,16 @@ impl FromRequest<Arc<App>> for Upload {
         check_content(&parts.headers)?;
         let target = extract::target(&mut parts, state).await?;
         let mut charge = Charge::none(&state.shared.in_flight);
-        let body = read_body(&parts.headers, body, state.config.snapshot_bytes_max, &mut charge);
-        let pieces = tokio::time::timeout(state.config.body_timeout(), body).await.map_err(|_| {
-            let timeout = state.config.body_timeout_ms;
-            Problem::new(Code::BodyTimeout, format!("the body did not arrive within {timeout} ms"))
-        })??;
+        let limit = state.config.snapshot_bytes_max;
+        let reading = Reading { limit, byte_bytes: RESTORED_BYTES, piece_bytes: PIECE_BYTES };
+        let pieces = reading.pieces(state, &parts.headers, body, &mut charge, |unread| match unread {
+            Unread::TooLarge => {
+                let detail = format!("the snapshot is larger than {limit} bytes (--{SNAPSHOT_BYTES_MAX})");
+                Problem::new(Code::BodyTooLarge, detail)
+            }
+            Unread::CutShort => Problem::new(Code::MalformedSnapshot, "the body was cut short"),
+        });
+        let pieces = pieces.await?;
         let preconditions = Preconditions::new(&parts.headers);
         let (uri, bytes) = (parts.uri.clone(), pieces.iter().map(Bytes::len).sum());
         let (key, pieces) = if parts.headers.contains_key(IDEMPOTENCY_KEY) {
@@ -269,12 +272,7 @@ fn insert<R: WireReal>(
 
 /// A snapshot says so, or says nothing, or comes from a plain `curl --data-binary`.
 fn check_content(headers: &HeaderMap) -> Result<(), Problem> {
-    let unsupported = |detail: String| Err(Problem::new(Code::UnsupportedMediaType, detail));
-    if let Some(encoding) = headers.get(header::CONTENT_ENCODING)
-        && !encoding.as_bytes().eq_ignore_ascii_case(b"identity")
-    {
-        return unsupported(format!("a body with Content-Encoding {encoding:?} is not read; send it as it is"));
-    }
+    extract::check_coding(headers)?;
     let Some(content_type) = headers.get(header::CONTENT_TYPE) else { return Ok(()) };
     let is_read = |media: MediaType<'_>| {
         media.ty == "application" && (media.subty == "octet-stream" || media.subty == "x-www-form-urlencoded")
@@ -282,36 +280,8 @@ fn check_content(headers: &HeaderMap) -> Result<(), Problem> {
     if content_type.is_empty() || content_type.to_str().is_ok_and(|text| MediaType::parse(text).is_ok_and(is_read)) {
         return Ok(());
     }
-    unsupported(format!("a snapshot of type {content_type:?} is not read; send application/octet-stream"))
-}
-
-/// Reads a body within its limit in the pieces in which it comes, and charges what it will take.
-async fn read_body(headers: &HeaderMap, body: Body, limit: usize, charge: &mut Charge) -> Result<Vec<Bytes>, Problem> {
-    let too_large = || {
-        let detail = format!("the snapshot is larger than {limit} bytes (--{SNAPSHOT_BYTES_MAX})");
-        Problem::new(Code::BodyTooLarge, detail)
-    };
-    let declared = headers.get(header::CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse::<usize>().ok());
-    if declared.is_some_and(|length| length > limit) {
-        return Err(too_large());
-    }
-    charge.grow(declared.unwrap_or(0) as u64 * RESTORED_BYTES)?;
-    let mut body = Limited::new(body, limit);
-    let mut pieces = Vec::new();
-    while let Some(frame) = body.frame().await {
-        match frame.map(Frame::into_data) {
-            Ok(Ok(data)) => {
-                let bytes = if declared.is_none() { data.len() as u64 * RESTORED_BYTES } else { 0 };
-                charge.grow(bytes + PIECE_BYTES)?;
-                pieces.push(data);
-            }
-            // Trailers say nothing here.
-            Ok(Err(_)) => {}
-            Err(error) if error.is::<http_body_util::LengthLimitError>() => return Err(too_large()),
-            Err(_) => return Err(Problem::new(Code::MalformedSnapshot, "the body was cut short")),
-        }
-    }
-    Ok(pieces)
+    let detail = format!("a snapshot of type {content_type:?} is not read; send application/octet-stream");
+    Err(Problem::new(Code::UnsupportedMediaType, detail))
 }
 
 /// Pieces one after the other; each is given back when it is read.
