@@ -5,10 +5,10 @@ use std::time::{Duration, Instant};
 use pointmass::Advance;
 
 use crate::Case;
-use crate::load::{Latencies, Load, Samples};
+use crate::load::{Load, Samples};
 use crate::report::{Bench, Unit};
 use crate::server::Server;
-use crate::worlds::{TICK, Worlds};
+use crate::worlds::{TICK, Worlds, most_that_hold};
 
 pub(crate) const MANY: Case = Case {
     name: "many",
@@ -50,23 +50,14 @@ fn run(bench: &mut Bench) {
     bench.record("all worlds: given up", lost as f64 / runs[0].0.len() as f64, Unit::Percent).at_most(0.0);
     bench.record("all worlds: p99", runs[0].latencies().within(0.99), Unit::Seconds).at_most(TICK);
 
-    // Those that hold, and those that do not.
-    let (mut most, mut least) = (0, all + 1);
-    let mut held = Latencies::default();
-    while least - most > bench.size(25, all) {
-        let worlds = usize::midpoint(most, least);
-        let samples = way.run(worlds, bench.size(3.0, 0.1));
-        let latencies = samples.latencies();
-        if latencies.within(0.99) <= TICK && self::lost(&samples) == 0 {
-            (most, held) = (worlds, latencies);
-        } else {
-            least = worlds;
-        }
+    let apart = bench.size(25, all);
+    let seconds = bench.size(3.0, 0.1);
+    most_that_hold(bench, all, apart, |worlds| {
+        let samples = way.run(worlds, seconds);
+        let held = (samples.latencies(), self::lost(&samples) == 0);
         runs.push(samples);
-    }
-    bench.record("worlds that hold", most as f64, Unit::Count).at_least(1000.0);
-    bench.record("worlds that hold: advances", most as f64 / TICK, Unit::PerSecond);
-    bench.record_latencies("worlds that hold", &held);
+        held
+    });
     let faults: usize = runs.iter().map(Samples::faults).sum();
     bench.check(faults == 0, || format!("{faults} requests were answered with neither 200 nor 503"));
     worlds.check(bench, &server, &runs.iter().collect::<Vec<_>>());

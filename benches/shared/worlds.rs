@@ -3,12 +3,35 @@
 use pointmass::{Advance, Command, DVec3, Integrator, NewParticles, Particle, Settings, World};
 
 use crate::client::request;
-use crate::load::{Outcome, Samples};
-use crate::report::Bench;
+use crate::load::{Latencies, Outcome, Samples};
+use crate::report::{Bench, Unit};
 use crate::server::Server;
 
 /// A tick of a game, in seconds.
 pub(crate) const TICK: f64 = 1.0 / 60.0;
+
+/// The most worlds, up to a limit, that hold: p99 within a tick and none refused. By bisection, to within `apart`; `run` says
+/// how long their ticks took, and whether all went well.
+pub(crate) fn most_that_hold(
+    bench: &mut Bench,
+    limit: usize,
+    apart: usize,
+    mut run: impl FnMut(usize) -> (Latencies, bool),
+) {
+    let (mut most, mut least, mut held) = (0, limit + 1, Latencies::default());
+    while least - most > apart {
+        let worlds = usize::midpoint(most, least);
+        let (latencies, is_well) = run(worlds);
+        if is_well && latencies.within(0.99) <= TICK {
+            (most, held) = (worlds, latencies);
+        } else {
+            least = worlds;
+        }
+    }
+    bench.record("worlds that hold", most as f64, Unit::Count).at_least(1000.0);
+    bench.record("worlds that hold: advances", most as f64 / TICK, Unit::PerSecond);
+    bench.record_latencies("worlds that hold", &held);
+}
 
 /// Equal worlds, and the same advance for each.
 #[derive(Debug)]

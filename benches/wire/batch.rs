@@ -12,7 +12,7 @@ use crate::report::{Bench, Unit};
 use crate::rounds::{Contender, rounds};
 use crate::scene::CBOR;
 use crate::server::Server;
-use crate::worlds::{TICK, Worlds, check_all_accepted};
+use crate::worlds::{TICK, Worlds, check_all_accepted, most_that_hold};
 
 pub(crate) const BATCH: Case = Case {
     name: "batch",
@@ -83,33 +83,25 @@ fn hold(bench: &mut Bench, limit: usize) {
     let server = Server::start(&[]);
     let worlds = Worlds::create(&server, "game", limit, 100, Advance::by(TICK));
     let mut client = server.client();
-    let (mut most, mut least, mut held) = (0, limit + 1, Latencies::default());
     let mut batches = Vec::new();
-    while least - most > bench.size(limit / 50, limit).max(1) {
-        let count = usize::midpoint(most, least);
+    let apart = bench.size(limit / 50, limit).max(1);
+    let ticks = bench.size(150, 5);
+    most_that_hold(bench, limit, apart, |count| {
         let request = in_json("game", count);
         let (mut latencies, mut answers) = (Vec::new(), Vec::new());
         let start = Instant::now();
-        for tick in 0..bench.size(150, 5) {
+        for tick in 0..ticks {
             let begin = start + Duration::from_secs_f64(f64::from(tick) * TICK);
             sleep_until(begin);
             ask(&mut client, &request, &mut answers);
             latencies.push(begin.elapsed().as_secs_f64());
         }
         latencies.sort_by(f64::total_cmp);
-        let (latencies, answers) = (Latencies(latencies), answers.iter().map(|answer| from_json(answer)));
-        let answers: Vec<Samples> = answers.collect();
+        let answers: Vec<Samples> = answers.iter().map(|answer| from_json(answer)).collect();
         let is_complete = answers.iter().all(|samples| samples.accepted() == count);
-        if latencies.within(0.99) <= TICK && is_complete {
-            (most, held) = (count, latencies);
-        } else {
-            least = count;
-        }
         batches.extend(answers);
-    }
-    bench.record("worlds that hold at 60 Hz", most as f64, Unit::Count).at_least(1000.0);
-    bench.record("worlds that hold: advances", most as f64 / TICK, Unit::PerSecond);
-    bench.record_latencies("worlds that hold", &held);
+        (Latencies(latencies), is_complete)
+    });
     let faults: usize = batches.iter().map(Samples::faults).sum();
     bench.check(faults == 0, || format!("{faults} worlds of batches were neither advanced nor refused"));
     worlds.check(bench, &server, &batches.iter().collect::<Vec<_>>());

@@ -7,7 +7,7 @@ use crate::client::request_with;
 use crate::raw;
 use crate::report::{Bench, Unit};
 use crate::rounds::{fetch, rounds};
-use crate::scene::{self, Columns, Scene};
+use crate::scene::{Columns, Scene};
 use crate::server::Server;
 
 pub(crate) const LARGE: Case = Case {
@@ -22,11 +22,8 @@ fn run(bench: &mut Bench) {
     let (server, raw) = (Server::start(&[]), raw::start());
     let scene = Scene::<f64>::new(bench.size(1_000_000, 20_000), Integrator::NewtonEuler);
     let mut client = server.client();
-    scene.create(&mut client, "large");
     let by = Advance::by(0.1);
-    client.expect(&scene::advance("large", by), 200);
-    let mut world = scene.world();
-    world.advance(by).expect("the service accepted it");
+    let world = scene.advanced(&mut client, "large", by);
 
     let path = "/v1/worlds/large/state?fields=position,velocity";
     let state = request_with("GET", path, &["accept: application/cbor"], b"");

@@ -11,7 +11,7 @@ use crate::plot::Row;
 use crate::raw;
 use crate::report::{Bench, Unit};
 use crate::rounds::{fetch, memcpy, rounds};
-use crate::scene::{self, Columns, Scene};
+use crate::scene::{Columns, Scene};
 use crate::server::Server;
 
 pub(crate) const OUT: Case = Case {
@@ -47,10 +47,7 @@ fn run(bench: &mut Bench) {
 
 fn one<R: Number>(bench: &mut Bench, [server, raw]: [&Server; 2], name: &str, scene: &Scene<R>, by: Advance) {
     let mut client = server.client();
-    scene.create(&mut client, name);
-    client.expect(&scene::advance(name, by), 200);
-    let mut world = scene.world();
-    world.advance(by).expect("the service accepted it");
+    let world = scene.advanced(&mut client, name, by);
 
     let requests =
         WAYS.map(|[_, path, header]| request_with("GET", &format!("/v1/worlds/{name}/{path}"), &[header], b""));

@@ -95,6 +95,15 @@ impl<R: Number> Scene<R> {
         request("PUT", &format!("/v1/worlds/{name}"), &settings)
     }
 
+    /// In the service and here, advanced.
+    pub(crate) fn advanced(&self, client: &mut Client, name: &str, by: Advance) -> World<R> {
+        self.create(client, name);
+        client.expect(&advance(name, by), 200);
+        let mut world = self.world();
+        world.advance(by).expect("the service accepted it");
+        world
+    }
+
     /// In the service.
     pub(crate) fn create(&self, client: &mut Client, name: &str) {
         client.expect(&self.put(name), 201);

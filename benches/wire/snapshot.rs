@@ -24,11 +24,8 @@ fn run(bench: &mut Bench) {
     let (server, raw) = (Server::start(&[]), raw::start());
     let scene = Scene::<f64>::new(bench.size(1_000_000, 2000), Integrator::NewtonEuler);
     let mut client = server.client();
-    scene.create(&mut client, "large");
     let by = Advance::by(0.1);
-    client.expect(&scene::advance("large", by), 200);
-    let mut world = scene.world();
-    world.advance(by).expect("the service accepted it");
+    let world = scene.advanced(&mut client, "large", by);
 
     let get = request("GET", "/v1/worlds/large/snapshot", "");
     let bytes = client.expect(&get, 200).body.to_vec();
