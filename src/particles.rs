@@ -49,9 +49,9 @@ pub(crate) enum Driving<'a, R> {
 }
 
 /// Particles to add; every column is uniform or has one value for each.
-pub(crate) struct New<R: Real> {
-    pub(crate) position: Column<[R; 3]>,
-    pub(crate) velocity: Column<[R; 3]>,
+pub(crate) struct New<'a, R: Real> {
+    pub(crate) position: &'a Column<R::Vec3>,
+    pub(crate) velocity: &'a Column<R::Vec3>,
     pub(crate) acceleration: Column<Option<[R; 3]>>,
     pub(crate) damping: Column<R>,
     pub(crate) inverse_mass: Column<R>,
@@ -182,14 +182,14 @@ impl<R: Real> Particles<R> {
     }
 
     /// Appends `count` particles.
-    pub(crate) fn extend(&mut self, new: &New<R>, count: usize, clock: DoubleDouble, compensated: bool) {
+    pub(crate) fn extend(&mut self, new: &New<'_, R>, count: usize, clock: DoubleDouble, compensated: bool) {
         let len = self.len();
         if compensated {
             self.residual.position.resize(len + count, zero());
             self.residual.velocity.resize(len + count, zero());
         }
-        extend_vectors(&mut self.position, &new.position, count);
-        extend_vectors(&mut self.velocity, &new.velocity, count);
+        extend_vectors(&mut self.position, new.position, count);
+        extend_vectors(&mut self.velocity, new.velocity, count);
         self.own_acceleration.extend(len, &new.acceleration.map(Option::unwrap_or_default), count);
         self.has_own_acceleration.extend(len, &new.acceleration.map(|own| own.is_some()).collapsed(), count);
         self.damping.extend(len, &new.damping, count);
@@ -210,8 +210,8 @@ impl<R: Real> Particles<R> {
     pub(crate) fn alone(&self, row: usize, clock: DoubleDouble, compensated: bool) -> Self {
         let mut alone = Self::new();
         let new = New {
-            position: Column::Uniform(self.position[row]),
-            velocity: Column::Uniform(self.velocity[row]),
+            position: &Column::Uniform(self.position[row].into()),
+            velocity: &Column::Uniform(self.velocity[row].into()),
             acceleration: Column::Uniform(self.own(row)),
             damping: Column::Uniform(self.damping.get(row)),
             inverse_mass: Column::Uniform(self.inverse_mass.get(row)),
@@ -330,10 +330,10 @@ fn add_each<S: Simd, R: Real>(_: S, a: &mut [[R; 3]], f: &[[R; 3]], w: &[R]) {
     }
 }
 
-fn extend_vectors<R: Real>(vectors: &mut Vec<[R; 3]>, new: &Column<[R; 3]>, count: usize) {
+fn extend_vectors<R: Real>(vectors: &mut Vec<[R; 3]>, new: &Column<R::Vec3>, count: usize) {
     column::make_room(vectors, count);
     match new {
-        Column::Uniform(vector) => vectors.resize(vectors.len() + count, *vector),
-        Column::PerParticle(new) => vectors.extend_from_slice(&new[..count]),
+        Column::Uniform(vector) => vectors.resize(vectors.len() + count, (*vector).into()),
+        Column::PerParticle(new) => vectors.extend(new[..count].iter().map(|vector| (*vector).into())),
     }
 }

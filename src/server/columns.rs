@@ -193,7 +193,12 @@ fn write_values<R: WireReal>(property: Option<Property>, block: &mut Block<R>, w
     let each = |value: fn(ParticleState<R>) -> R| block.properties(world).map(value);
     match property {
         None if writer.encoding == Encoding::Json => writer.members(block.ids().map(|id| id.0)),
-        None => block.ids().for_each(|id| writer.bytes.extend_from_slice(&id.0.to_le_bytes())),
+        None => {
+            let old = writer.bytes.len();
+            writer.bytes.resize(old + size_of::<u64>() * block.len(), 0);
+            let (places, _) = writer.bytes[old..].as_chunks_mut();
+            places.iter_mut().zip(block.ids()).for_each(|(place, id)| *place = id.0.to_le_bytes());
+        }
         Some(Property::Position) => write_vectors(block.motion(world).0, writer),
         Some(Property::Velocity) => write_vectors(block.motion(world).1, writer),
         Some(Property::Acceleration) => {

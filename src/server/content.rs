@@ -11,6 +11,8 @@ use axum::body::{Body, Bytes};
 use hyper::body::{Frame, SizeHint};
 use serde::Serialize;
 use tokio::sync::mpsc;
+use tokio::sync::mpsc::OwnedPermit;
+use tokio::sync::mpsc::error::TrySendError;
 
 use crate::server::coding::{Coding, Packer};
 use crate::server::columns::{Columns, PIECE_BYTES};
@@ -143,8 +145,7 @@ impl Content {
             }
             return true;
         };
-        let making = Making { parts: self.parts, packer: self.coding.map(Packer::new), is_over: false };
-        making.send(&shared, sender).await
+        Making::new(self.parts, self.coding).send(&shared, sender).await
     }
 
     pub(crate) fn into_body(mut self) -> Body {
@@ -233,16 +234,12 @@ impl Later {
     /// Appends about so many bytes; whether there is more.
     fn write_on(&mut self, bytes: usize, into: &mut Vec<u8>) -> bool {
         let Self { columns, writer, .. } = self;
+        std::mem::swap(into, &mut writer.bytes);
         let more = match columns {
             AnyColumns::Single(world, columns) => columns.write(world, bytes, writer),
             AnyColumns::Double(world, columns) => columns.write(world, bytes, writer),
         };
-        // Without a copy; the room that was made for this piece takes the next one.
-        if into.is_empty() {
-            std::mem::swap(into, &mut writer.bytes);
-        } else {
-            into.append(&mut writer.bytes);
-        }
+        std::mem::swap(into, &mut writer.bytes);
         more
     }
 }
@@ -251,66 +248,124 @@ impl Later {
 struct Making {
     parts: VecDeque<Part>,
     packer: Option<Packer>,
-    is_over: bool,
+    /// Room of pieces that were sent: memory that is fresh from the system takes longer than what is written to it.
+    rooms: std::sync::mpsc::Receiver<Vec<u8>>,
+    leaving: std::sync::mpsc::Sender<Vec<u8>>,
 }
 
+/// A piece that gives its room back when it was sent.
+struct Piece {
+    bytes: Vec<u8>,
+    leaving: std::sync::mpsc::Sender<Vec<u8>>,
+}
+
+impl AsRef<[u8]> for Piece {
+    fn as_ref(&self) -> &[u8] {
+        &self.bytes
+    }
+}
+
+impl Drop for Piece {
+    fn drop(&mut self) {
+        // After the last one nobody needs it.
+        let _freed = self.leaving.send(std::mem::take(&mut self.bytes));
+    }
+}
+
+/// How sending some pieces ended.
+enum Sent {
+    /// There are more, once somebody took those.
+    Some,
+    All,
+    /// There is nobody to take them, or they cannot be made.
+    Broken,
+}
+
+/// Pieces that are made one after the other where they are taken as fast, before others get their turn.
+const PIECES_TOGETHER: usize = 8;
+
 impl Making {
+    fn new(parts: VecDeque<Part>, coding: Option<Coding>) -> Self {
+        let (leaving, rooms) = std::sync::mpsc::channel();
+        Self { parts, packer: coding.map(Packer::new), rooms, leaving }
+    }
+
     /// The next piece; empty after the last one.
     fn piece(&mut self) -> io::Result<Bytes> {
-        let mut piece = Vec::new();
-        while piece.is_empty() && !self.is_over {
+        loop {
             let plain = self.plain();
-            self.is_over = plain.is_empty();
-            piece = match self.packer.take() {
-                None => plain,
-                Some(packer) if self.is_over => packer.finish()?,
-                Some(packer) => self.packer.insert(packer).pack(&plain)?,
+            let packed = match self.packer.take() {
+                None => return Ok(Bytes::from_owner(plain)),
+                Some(packer) if plain.bytes.is_empty() => return Ok(packer.finish()?.into()),
+                Some(packer) => self.packer.insert(packer).pack(&plain.bytes)?,
             };
+            if !packed.is_empty() {
+                return Ok(packed.into());
+            }
         }
-        Ok(piece.into())
     }
 
     /// Makes all pieces in the compute pool, for as long as somebody takes them.
     async fn send(mut self, shared: &Arc<Shared>, sender: &mpsc::Sender<io::Result<Bytes>>) -> bool {
         loop {
+            let Ok(permit) = sender.clone().reserve_owned().await else { return false };
             let place = shared.short_places.wait().await;
             let made = tokio::task::spawn_blocking(move || {
-                let piece = self.piece();
+                let sent = self.send_some(permit);
                 drop(place);
-                (self, piece)
+                (self, sent)
             });
-            let Ok((making, piece)) = made.await else {
-                // What was sent so far must not look like the whole.
-                let _gone = sender.send(Err(io::Error::other("a defect interrupted the answer"))).await;
-                return false;
+            self = match made.await {
+                Ok((making, Sent::Some)) => making,
+                Ok((_, sent)) => return matches!(sent, Sent::All),
+                Err(_) => {
+                    // What was sent so far must not look like the whole.
+                    let _gone = sender.send(Err(io::Error::other("a defect interrupted the answer"))).await;
+                    return false;
+                }
             };
-            let (is_over, is_broken) = (piece.as_ref().is_ok_and(Bytes::is_empty), piece.is_err());
-            if is_over || sender.send(piece).await.is_err() || is_broken {
-                return is_over;
-            }
-            self = making;
         }
     }
 
+    fn send_some(&mut self, mut permit: OwnedPermit<io::Result<Bytes>>) -> Sent {
+        for _ in 0..PIECES_TOGETHER {
+            let piece = self.piece();
+            if piece.as_ref().is_ok_and(Bytes::is_empty) {
+                return Sent::All;
+            }
+            let is_broken = piece.is_err();
+            permit = match permit.send(piece).try_reserve_owned() {
+                _ if is_broken => return Sent::Broken,
+                Ok(permit) => permit,
+                Err(TrySendError::Full(_)) => return Sent::Some,
+                Err(TrySendError::Closed(_)) => return Sent::Broken,
+            };
+        }
+        Sent::Some
+    }
+
     /// The next piece of what is not packed yet.
-    fn plain(&mut self) -> Vec<u8> {
-        let mut piece = Vec::with_capacity(PIECE_BYTES + PIECE_BYTES / 4);
-        while piece.len() < PIECE_BYTES
+    fn plain(&mut self) -> Piece {
+        let mut bytes = self.rooms.try_recv().unwrap_or_default();
+        bytes.clear();
+        // What is written last goes beyond by a block.
+        bytes.reserve(PIECE_BYTES + PIECE_BYTES / 4);
+        while bytes.len() < PIECE_BYTES
             && let Some(part) = self.parts.front_mut()
         {
             let more = match part {
                 Part::Text(text) => {
                     let some = text.split_to(text.len().min(PIECE_BYTES));
-                    piece.extend_from_slice(&some);
+                    bytes.extend_from_slice(&some);
                     !text.is_empty()
                 }
-                Part::Columns(later) => later.write_on(PIECE_BYTES, &mut piece),
+                Part::Columns(later) => later.write_on(PIECE_BYTES, &mut bytes),
             };
             if !more {
                 self.parts.pop_front();
             }
         }
-        piece
+        Piece { bytes, leaving: self.leaving.clone() }
     }
 }
 

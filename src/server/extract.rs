@@ -162,16 +162,28 @@ impl FromRequest<Arc<App>> for Change {
         let limit = if is_bulk { limit } else { limit.min(SMALL_BODY_BYTES_MAX) };
         let mut charge = Charge::none(&state.shared.in_flight);
         let reading = Reading { limit, byte_bytes: encoding.byte_bytes(), piece_bytes: 0 };
-        let pieces = reading.pieces(state, &parts.headers, body, &mut charge, |unread| match unread {
+        let refused = |unread| match unread {
             Unread::TooLarge => {
                 let detail = format!("the body is larger than {limit} bytes (--{BODY_BYTES_MAX})");
                 Problem::new(Code::BodyTooLarge, detail)
             }
             Unread::CutShort => Problem::new(encoding.malformed(), "the body was cut short"),
-        });
-        let mut pieces = pieces.await?;
-        let bytes = if pieces.len() == 1 { pieces.swap_remove(0) } else { pieces.concat().into() };
-        let body = Body { bytes, encoding };
+        };
+        let (mut first, mut whole) = (Bytes::new(), Vec::new());
+        let take = |piece: Bytes, declared: usize| {
+            if first.is_empty() && whole.is_empty() {
+                first = piece;
+                return;
+            }
+            if whole.is_empty() {
+                whole.reserve(declared);
+                // Pieces that are gone give their room to the next ones.
+                whole.extend_from_slice(&std::mem::take(&mut first));
+            }
+            whole.extend_from_slice(&piece);
+        };
+        reading.each_piece(state, &parts.headers, body, &mut charge, refused, take).await?;
+        let body = Body { bytes: if whole.is_empty() { first } else { whole.into() }, encoding };
         // A small one in JSON is charged for already.
         if is_bulk || encoding == Encoding::Cbor {
             let objects_max = state.config.objects_max();
@@ -228,15 +240,17 @@ pub(crate) enum Unread {
 }
 
 impl Reading {
-    /// Reads a body in the pieces in which it comes. It is charged before it is there where its length is declared.
-    pub(crate) async fn pieces(
+    /// Reads a body in the pieces in which it comes; `take` also gets the length that is declared, or 0. It is charged before
+    /// it is there where that is.
+    pub(crate) async fn each_piece(
         &self,
         state: &App,
         headers: &HeaderMap,
         body: axum::body::Body,
         charge: &mut Charge,
         refused: impl Fn(Unread) -> Problem,
-    ) -> Result<Vec<Bytes>, Problem> {
+        mut take: impl FnMut(Bytes, usize),
+    ) -> Result<(), Problem> {
         let declared =
             headers.get(header::CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse::<usize>().ok());
         if declared.is_some_and(|length| length > self.limit) {
@@ -244,14 +258,13 @@ impl Reading {
         }
         charge.grow(declared.unwrap_or(0) as u64 * self.byte_bytes)?;
         let mut body = Limited::new(body, self.limit);
-        let mut pieces = Vec::new();
         let read = async {
             while let Some(frame) = body.frame().await {
                 match frame.map(Frame::into_data) {
                     Ok(Ok(data)) => {
                         let bytes = if declared.is_none() { data.len() as u64 * self.byte_bytes } else { 0 };
                         charge.grow(bytes + self.piece_bytes)?;
-                        pieces.push(data);
+                        take(data, declared.unwrap_or(0));
                     }
                     // Trailers say nothing here.
                     Ok(Err(_)) => {}
@@ -266,8 +279,7 @@ impl Reading {
         tokio::time::timeout(state.config.body_timeout(), read).await.map_err(|_| {
             let timeout = state.config.body_timeout_ms;
             Problem::new(Code::BodyTimeout, format!("the body did not arrive within {timeout} ms"))
-        })??;
-        Ok(pieces)
+        })?
     }
 }
 

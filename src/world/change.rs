@@ -27,8 +27,8 @@ impl<R: Real> World<R> {
 
     pub(super) fn create_columns(&mut self, new: &NewParticles<R>) -> Result<Outcome, Error> {
         let count = new.count;
-        let position = vectors(&new.position, Field::Position, count)?;
-        let velocity = vectors(&new.velocity, Field::Velocity, count)?;
+        check_vectors(&new.position, Field::Position, count)?;
+        check_vectors(&new.velocity, Field::Velocity, count)?;
         let acceleration = accelerations(&new.acceleration, count)?;
         let damping = dampings(&new.damping, count)?;
         let inverse_mass = inverse_masses(&new.mass, count)?;
@@ -40,6 +40,7 @@ impl<R: Real> World<R> {
         if asked > self.limits.particles {
             return Err(Error::LimitReached { limit: Limit::Particles, allowed: self.limits.particles, asked });
         }
+        let (position, velocity) = (&new.position, &new.velocity);
         let new = New { position, velocity, acceleration, damping, inverse_mass, drag, gravitational_mass };
         self.particles.extend(&new, count, self.clock, self.settings.compensated);
         self.factors.forget();
@@ -59,17 +60,18 @@ impl<R: Real> World<R> {
             return Err(Error::NothingToPlace);
         }
         let rows = self.rows(ids)?;
-        let position = position.map(|column| vectors(column, Field::Position, rows.len())).transpose()?;
-        let velocity = velocity.map(|column| vectors(column, Field::Velocity, rows.len())).transpose()?;
+        for (column, field) in [(position, Field::Position), (velocity, Field::Velocity)] {
+            column.map_or(Ok(()), |column| check_vectors(column, field, rows.len()))?;
+        }
         self.rebase_many(&Rows::List(&rows));
         let particles = &mut *self.particles;
         for (i, &row) in rows.iter().enumerate() {
-            if let Some(position) = &position {
-                particles.position[row] = position.get(i);
+            if let Some(position) = position {
+                particles.position[row] = position.get(i).into();
                 particles.residual.position.get_mut(row).into_iter().for_each(|residual| *residual = zero());
             }
-            if let Some(velocity) = &velocity {
-                particles.velocity[row] = velocity.get(i);
+            if let Some(velocity) = velocity {
+                particles.velocity[row] = velocity.get(i).into();
                 particles.residual.velocity.get_mut(row).into_iter().for_each(|residual| *residual = zero());
             }
             particles.note_rest(row);
@@ -120,21 +122,22 @@ impl<R: Real> World<R> {
 
     pub(super) fn add_forces(&mut self, ids: &Selection, force: &Column<R::Vec3>) -> Result<Outcome, Error> {
         let rows = self.rows(ids)?;
-        let force = vectors(force, Field::Force, rows.len())?.map(|f| f.map(positive_zero));
+        check_vectors(force, Field::Force, rows.len())?;
+        let newtons = |force: R::Vec3| force.into().map(positive_zero);
         let len = self.particles.len();
-        if let (Selection::All, Column::Uniform(force), Column::Uniform(old)) =
-            (ids, &force, self.particles.force.column())
+        if let (Selection::All, Column::Uniform(uniform), Column::Uniform(old)) =
+            (ids, force, self.particles.force.column())
             && len > 0
         {
-            let sum = add(*old, *force);
+            let sum = add(*old, newtons(*uniform));
             if !sum.iter().all(|x| x.is_finite()) {
-                return Err(self.overflow(rows[0], Quantity::Force, Field::Force, &Column::Uniform(*force), 0));
+                return Err(self.overflow(rows[0], Quantity::Force, Field::Force, force, 0));
             }
             self.particles.force.set_all(sum);
             self.bounds.force = self.bounds.force.max(magnitude(sum));
             return Ok(Outcome::Changed { count: len });
         }
-        let largest = force.entries().map(|(_, force)| magnitude(force)).fold(0.0, f64::max);
+        let largest = force.entries().map(|(_, force)| magnitude(newtons(force))).fold(0.0, f64::max);
         // A particle may be named by all of them.
         #[expect(clippy::cast_precision_loss, reason = "an estimate")]
         let most = self.bounds.force + largest * rows.len() as f64;
@@ -142,12 +145,12 @@ impl<R: Real> World<R> {
         let before = may_overflow.then(|| self.particles.force.clone());
         let particles = &mut *self.particles;
         for (i, &row) in rows.iter().enumerate() {
-            let sum = add(particles.force.get(row), force.get(i));
+            let sum = add(particles.force.get(row), newtons(force.get(i)));
             if let Some(before) = &before
                 && !sum.iter().all(|x| x.is_finite())
             {
                 particles.force = before.clone();
-                return Err(self.overflow(row, Quantity::Force, Field::Force, &force, i));
+                return Err(self.overflow(row, Quantity::Force, Field::Force, force, i));
             }
             particles.force.set(row, self.ids.id(row), sum, len);
         }
@@ -157,15 +160,15 @@ impl<R: Real> World<R> {
 
     pub(super) fn apply_impulses(&mut self, ids: &Selection, impulse: &Column<R::Vec3>) -> Result<Outcome, Error> {
         let rows = self.rows(ids)?;
-        let impulse = vectors(impulse, Field::Impulse, rows.len())?;
+        check_vectors(impulse, Field::Impulse, rows.len())?;
         // The new velocities are computed aside: a particle that is named twice starts from its first one.
         let mut velocities: HashMap<usize, [R; 3]> = HashMap::with_capacity(rows.len());
         for (i, &row) in rows.iter().enumerate() {
             let velocity = velocities.entry(row).or_insert_with(|| self.now(row).1);
             let w = self.particles.inverse_mass.get(row);
-            *velocity = add(*velocity, impulse.get(i).map(|j| j * w));
+            *velocity = add(*velocity, impulse.get(i).into().map(|j| j * w));
             if !velocity.iter().all(|x| x.is_finite()) {
-                return Err(self.overflow(row, Quantity::Velocity, Field::Impulse, &impulse, i));
+                return Err(self.overflow(row, Quantity::Velocity, Field::Impulse, impulse, i));
             }
         }
         for (row, velocity) in velocities {
@@ -213,8 +216,8 @@ impl<R: Real> World<R> {
     pub(super) fn configure(&mut self, change: &Configure<R>) -> Result<(), Error> {
         let mut settings = self.settings;
         if let Some(gravity) = change.gravity {
-            let gravity = vectors(&Column::Uniform(gravity), Field::Gravity, 0)?.map(|g| g.map(positive_zero));
-            settings.gravity = gravity.get(0).into();
+            check_finite(gravity.into(), Field::Gravity.whole())?;
+            settings.gravity = gravity.into().map(positive_zero).into();
         }
         if let Some(max_step) = change.max_step {
             settings.max_step = max_step.map(valid_max_step).transpose()?;
@@ -326,13 +329,12 @@ pub(super) fn check_finite<R: Real>(x: [R; 3], place: Place) -> Result<(), Error
     if x.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(Error::NotFinite(place)) }
 }
 
-fn vectors<R: Real, V: Copy + PartialEq + Into<[R; 3]>>(
+fn check_vectors<R: Real, V: Copy + PartialEq + Into<[R; 3]>>(
     column: &Column<V>,
     field: Field,
     count: usize,
-) -> Result<Column<[R; 3]>, Error> {
-    check_each(column, field, count, |v, place| check_finite(v.into(), place))?;
-    Ok(column.map(Into::into))
+) -> Result<(), Error> {
+    check_each(column, field, count, |v, place| check_finite(v.into(), place))
 }
 
 fn accelerations<R: Real, V: Copy + PartialEq + Into<[R; 3]>>(

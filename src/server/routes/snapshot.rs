@@ -68,14 +68,15 @@ impl FromRequest<Arc<App>> for Upload {
         let mut charge = Charge::none(&state.shared.in_flight);
         let limit = state.config.snapshot_bytes_max;
         let reading = Reading { limit, byte_bytes: RESTORED_BYTES, piece_bytes: PIECE_BYTES };
-        let pieces = reading.pieces(state, &parts.headers, body, &mut charge, |unread| match unread {
+        let refused = |unread| match unread {
             Unread::TooLarge => {
                 let detail = format!("the snapshot is larger than {limit} bytes (--{SNAPSHOT_BYTES_MAX})");
                 Problem::new(Code::BodyTooLarge, detail)
             }
             Unread::CutShort => Problem::new(Code::MalformedSnapshot, "the body was cut short"),
-        });
-        let pieces = pieces.await?;
+        };
+        let mut pieces = Vec::new();
+        reading.each_piece(state, &parts.headers, body, &mut charge, refused, |piece, _| pieces.push(piece)).await?;
         let preconditions = Preconditions::new(&parts.headers);
         let (uri, bytes) = (parts.uri.clone(), pieces.iter().map(Bytes::len).sum());
         let (key, pieces) = if parts.headers.contains_key(IDEMPOTENCY_KEY) {
