@@ -58,6 +58,9 @@ mod sealed {
         /// The bytes of one.
         #[cfg(feature = "snapshot")]
         const BYTES: usize;
+        /// Their bytes, little-endian, where that is how they are held.
+        #[cfg(feature = "snapshot")]
+        fn as_bytes(values: &[Self]) -> Option<&[u8]>;
         /// Appends their bytes, little-endian.
         #[cfg(feature = "snapshot")]
         fn to_bytes(values: &[Self], to: &mut Vec<u8>);
@@ -70,11 +73,14 @@ mod sealed {
     macro_rules! bytes {
         () => {
             const BYTES: usize = size_of::<Self>();
+            fn as_bytes(values: &[Self]) -> Option<&[u8]> {
+                cfg!(target_endian = "little").then(|| bytemuck::cast_slice(values))
+            }
             fn to_bytes(values: &[Self], to: &mut Vec<u8>) {
-                let old = to.len();
-                to.resize(old + size_of_val(values), 0);
-                let (numbers, _) = to[old..].as_chunks_mut();
-                numbers.iter_mut().zip(values).for_each(|(bytes, value)| *bytes = value.to_le_bytes());
+                match Self::as_bytes(values) {
+                    Some(bytes) => to.extend_from_slice(bytes),
+                    None => to.extend(values.iter().flat_map(|value| value.to_le_bytes())),
+                }
             }
             fn from_bytes(bytes: &[u8], to: &mut Vec<Self>) {
                 let (numbers, _) = bytes.as_chunks();

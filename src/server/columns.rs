@@ -1,8 +1,10 @@
 //! Columns of particles, written a piece at a time: of a million as much is in memory as of a thousand.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use crate::ids::ParticleId;
+use crate::server::content::is_few;
 use crate::server::encoding::{Encoding, Writer};
 use crate::server::json::WireReal;
 use crate::server::wire::{Property, pair};
@@ -25,11 +27,28 @@ pub(crate) struct Columns<R: WireReal> {
     changed: Option<Changed>,
     /// Which column comes next; the ids before all others. `None`: the head of the map.
     column: Option<usize>,
+    /// Whether its beginning is written.
+    is_begun: bool,
     /// How many of its values are written.
     done: usize,
     next: ParticleId,
     /// The particles from which on it is, and they.
     block: Option<(usize, Block<R>)>,
+}
+
+/// Positions or velocities of a world as it was, which are sent from where they are.
+pub(crate) struct Lent<R: WireReal> {
+    world: World<R>,
+    property: Property,
+    rows: Range<usize>,
+}
+
+impl<R: WireReal> AsRef<[u8]> for Lent<R> {
+    fn as_ref(&self) -> &[u8] {
+        let (positions, velocities) = self.world.motion_as_it_is().expect("looked at when it was lent");
+        let column = if self.property == Property::Position { positions } else { velocities };
+        R::as_bytes(column[self.rows.clone()].as_flattened()).expect("the same")
+    }
 }
 
 /// What columns of changes say besides.
@@ -80,7 +99,17 @@ impl<R: WireReal> Columns<R> {
         let mut properties = properties.to_vec();
         properties.sort_unstable();
         properties.dedup();
-        Self { ids, count, properties, changed, column: None, done: 0, next: ParticleId(0), block: None }
+        Self {
+            ids,
+            count,
+            properties,
+            changed,
+            column: None,
+            is_begun: false,
+            done: 0,
+            next: ParticleId(0),
+            block: None,
+        }
     }
 
     /// Numbers to write.
@@ -88,16 +117,43 @@ impl<R: WireReal> Columns<R> {
         numbers(self.count as u64, &self.properties)
     }
 
-    /// Writes on, from the same world as before, until there are so many bytes; whether there is more.
+    /// Which property comes next, if it is not written but lent: bytes that a large world holds just as they are sent.
+    fn lent(&self, world: &World<R>, encoding: Encoding) -> Option<Property> {
+        let property = self.properties[self.column.filter(|_| self.is_begun)?.checked_sub(1)?];
+        let is_lent = matches!(property, Property::Position | Property::Velocity)
+            && encoding == Encoding::Cbor
+            && self.ids.is_none()
+            && !is_few(self.numbers())
+            && world.motion_as_it_is().is_some()
+            && R::as_bytes(&[]).is_some();
+        is_lent.then_some(property)
+    }
+
+    /// The next bytes of the same world as before, if they are not written.
+    pub(crate) fn lend(&mut self, world: &World<R>, encoding: Encoding) -> Option<Lent<R>> {
+        let property = self.lent(world, encoding)?;
+        let rows = self.done..self.count.min(self.done + PIECE_BYTES / size_of::<[R; 3]>());
+        self.done = rows.end;
+        if self.done == self.count {
+            (self.is_begun, self.done, self.column) = (false, 0, self.column.map(|column| column + 1));
+        }
+        Some(Lent { world: world.clone(), property, rows })
+    }
+
+    /// Writes on, from the same world as before, until there are so many bytes, or some to lend; whether there is more.
     pub(crate) fn write(&mut self, world: &World<R>, bytes: usize, writer: &mut Writer) -> bool {
-        let mut column = self.column.take().unwrap_or_else(|| {
+        let mut column = self.column.unwrap_or_else(|| {
             self.write_head(world, writer);
             0
         });
         while column <= self.properties.len() {
             let property = column.checked_sub(1).map(|index| self.properties[index]);
-            if self.done == 0 {
+            if !self.is_begun {
                 begin::<R>(property, self.count, writer);
+            }
+            (self.is_begun, self.column) = (true, Some(column));
+            if self.lent(world, writer.encoding).is_some() {
+                return true;
             }
             while self.done < self.count {
                 let mut block = self.block(world);
@@ -107,14 +163,13 @@ impl<R: WireReal> Columns<R> {
                 self.done += block.len();
                 self.block = Some((from, block));
                 if writer.bytes.len() >= bytes && self.done < self.count {
-                    self.column = Some(column);
                     return true;
                 }
             }
             if is_list(property, writer.encoding) {
                 writer.end_list();
             }
-            (self.done, self.next) = (0, ParticleId(0));
+            (self.is_begun, self.done, self.next) = (false, 0, ParticleId(0));
             column += 1;
         }
         writer.end_map();

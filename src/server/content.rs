@@ -15,7 +15,7 @@ use tokio::sync::mpsc::OwnedPermit;
 use tokio::sync::mpsc::error::TrySendError;
 
 use crate::server::coding::{Coding, Packer};
-use crate::server::columns::{Columns, PIECE_BYTES};
+use crate::server::columns::{self, Columns, PIECE_BYTES};
 use crate::server::encoding::{Encoding, Writer};
 use crate::server::json::WireReal;
 use crate::server::memory::Charge;
@@ -77,7 +77,11 @@ impl Content {
         for part in self.parts {
             match part {
                 Part::Text(text) => whole.extend_from_slice(&text),
-                Part::Columns(mut later) => _ = later.write_on(usize::MAX, &mut whole),
+                Part::Columns(mut later) => {
+                    while later.write_on(usize::MAX, &mut whole) {
+                        std::iter::from_fn(|| later.lend()).for_each(|lent| whole.extend_from_slice(&lent));
+                    }
+                }
             }
         }
         Self { parts: [Part::Text(whole.into())].into(), shared: None, ..self }
@@ -230,8 +234,34 @@ pub(crate) fn is_few(numbers: u64) -> bool {
     numbers <= INLINE_WORK
 }
 
+/// Bytes of a world as it was.
+struct Lent<R: WireReal> {
+    bytes: columns::Lent<R>,
+    #[expect(dead_code, reason = "lives as long as the bytes")]
+    charge: Option<Arc<Charge>>,
+}
+
+impl<R: WireReal> AsRef<[u8]> for Lent<R> {
+    fn as_ref(&self) -> &[u8] {
+        self.bytes.as_ref()
+    }
+}
+
 impl Later {
-    /// Appends about so many bytes; whether there is more.
+    /// The next bytes, if they are there already.
+    fn lend(&mut self) -> Option<Bytes> {
+        let (encoding, charge) = (self.writer.encoding, self.charge.clone());
+        match &mut self.columns {
+            AnyColumns::Single(world, columns) => {
+                columns.lend(world, encoding).map(|bytes| Bytes::from_owner(Lent { bytes, charge }))
+            }
+            AnyColumns::Double(world, columns) => {
+                columns.lend(world, encoding).map(|bytes| Bytes::from_owner(Lent { bytes, charge }))
+            }
+        }
+    }
+
+    /// Appends about so many bytes, up to some that are lent; whether there is more.
     fn write_on(&mut self, bytes: usize, into: &mut Vec<u8>) -> bool {
         let Self { columns, writer, .. } = self;
         std::mem::swap(into, &mut writer.bytes);
@@ -293,6 +323,11 @@ impl Making {
     /// The next piece; empty after the last one.
     fn piece(&mut self) -> io::Result<Bytes> {
         loop {
+            if let Some(Part::Columns(later)) = self.parts.front_mut()
+                && let Some(lent) = later.lend()
+            {
+                return Ok(lent);
+            }
             let plain = self.plain();
             let packed = match self.packer.take() {
                 None => return Ok(Bytes::from_owner(plain)),
@@ -350,7 +385,9 @@ impl Making {
         bytes.clear();
         // What is written last goes beyond by a block.
         bytes.reserve(PIECE_BYTES + PIECE_BYTES / 4);
+        let mut is_lent = false;
         while bytes.len() < PIECE_BYTES
+            && !is_lent
             && let Some(part) = self.parts.front_mut()
         {
             let more = match part {
@@ -359,7 +396,11 @@ impl Making {
                     bytes.extend_from_slice(&some);
                     !text.is_empty()
                 }
-                Part::Columns(later) => later.write_on(PIECE_BYTES, &mut bytes),
+                Part::Columns(later) => {
+                    let more = later.write_on(PIECE_BYTES, &mut bytes);
+                    is_lent = more && bytes.len() < PIECE_BYTES;
+                    more
+                }
             };
             if !more {
                 self.parts.pop_front();

@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use crate::closed_form::Motion;
 use crate::ids::ParticleId;
 use crate::particles::zero;
 use crate::real::Real;
@@ -22,6 +23,16 @@ enum Listed {
     /// Where ids are rows.
     Range(Range<usize>),
     List(Vec<ParticleId>, Vec<usize>),
+}
+
+impl<R: Real> World<R> {
+    /// Positions and velocities in ascending order of id, where the columns have them so.
+    pub(crate) fn motion_as_it_is(&self) -> Option<Motion<'_, R>> {
+        let particles = &self.particles;
+        let is_now = particles.base_time.indices().is_none() && particles.base_time.get(0) == self.clock;
+        let is_in_order = self.ids.rows_from(ParticleId(0), 0).is_some();
+        (is_now && is_in_order).then_some((&particles.position, &particles.velocity))
+    }
 }
 
 impl<R: Real> Block<R> {
@@ -60,7 +71,7 @@ impl<R: Real> Block<R> {
     }
 
     /// Positions and velocities at the clock of the world: those of its columns, where they hold now.
-    pub(crate) fn motion<'a>(&'a mut self, world: &'a World<R>) -> (&'a [[R; 3]], &'a [[R; 3]]) {
+    pub(crate) fn motion<'a>(&'a mut self, world: &'a World<R>) -> Motion<'a, R> {
         let particles = &world.particles;
         if !self.is_carried {
             let mut carrier = Carrier::new(world, Span::To(world.clock), false, self.len());

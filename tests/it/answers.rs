@@ -197,34 +197,62 @@ fn answers_are_the_same_in_either_encoding() {
     client.send("GET", world, &[("accept", "text/html")], None).expect(406);
 }
 
+/// Large columns of a world whose columns are as they are sent, in pieces of which the last one is full or nearly empty.
+#[test]
+fn columns_that_are_lent_are_those_that_are_written() {
+    let service = shared();
+    let mut client = service.client();
+    for (precision, piece) in [("double", 10_922), ("single", 21_845)] {
+        for count in [9000, piece, piece + 1, 2 * piece + 5] {
+            let path = format!("/v1/worlds/lent-{precision}-{count}");
+            client.put(&path, &format!(r#"{{"precision":"{precision}","integrator":"newton_euler"}}"#)).expect(201);
+            let vectors = |by: f64| (0..count).map(|k| json!([by / f64::from(k + 1), k, -by])).collect::<Value>();
+            let columns = json!({"count": count, "position": vectors(0.1), "velocity": vectors(0.7), "damping": 0.5});
+            client.post(&format!("{path}/particles"), &columns.to_string()).expect(201);
+            client.post(&format!("{path}/advance"), r#"{"duration":0.1}"#).expect(200);
+            for fields in ["position", "velocity", "position,velocity", "damping,velocity,mass"] {
+                let state = format!("{path}/state?fields={fields}");
+                let json = client.get(&state).expect(200).json();
+                let cbor = Cbor::of(&client.send("GET", &state, &[CBOR], None).expect(200));
+                assert_eq!(json.as_object().map(serde_json::Map::len), cbor.as_object().map(serde_json::Map::len));
+                for name in fields.split(',').chain(["id"]) {
+                    let single = precision == "single" && name != "id";
+                    assert!(flat(&cbor[name], single) == flat(&json[name], single), "{state}: {name}");
+                }
+            }
+            client.delete(&path).expect(204);
+        }
+    }
+}
+
 /// A large answer is of one moment, whatever happens to the world while it is read; and holds nothing afterwards.
 #[test]
 fn a_large_answer_is_of_one_moment() {
     let service = Service::start();
     let mut client = service.client();
-    client.put("/v1/worlds/a", r#"{"integrator":"newton_euler"}"#).expect(201);
-    let create = r#"{"count":300000,"velocity":[0.1,0.2,0.3]}"#;
-    client.post("/v1/worlds/a/particles", create).expect(201);
-    client.post("/v1/worlds/a/advance", r#"{"duration":1}"#).expect(200);
-    let before = client.get("/v1/worlds/a/state").expect(200).body;
-    for change in ["advance", "remove", "delete"] {
-        let mut slow = service.client();
-        slow.raw(b"GET /v1/worlds/a/state HTTP/1.1\r\nhost: localhost\r\n\r\n");
-        let head = slow.bytes(4096);
-        match change {
-            "advance" => client.post("/v1/worlds/a/advance", r#"{"duration":1,"steps":3}"#),
-            "remove" => client.delete("/v1/worlds/a/particles/299999"),
-            _ => client.delete("/v1/worlds/a"),
-        };
-        assert!(head.starts_with(b"HTTP/1.1 200 OK\r\n"));
-        let rest = slow.rest_of_answer(&head);
-        if change == "advance" {
-            assert!(rest == before, "{} of {} bytes", rest.len(), before.len());
-        } else {
-            assert_eq!(serde_json::from_slice::<Value>(&rest).expect("whole")["time"], 2.0);
-        }
-        if change == "delete" {
-            client.get("/v1/worlds/a").expect(404);
+    for accept in ["application/json", "application/cbor"] {
+        client.put("/v1/worlds/a", r#"{"integrator":"newton_euler"}"#).expect(201);
+        let create = r#"{"count":300000,"velocity":[0.1,0.2,0.3]}"#;
+        client.post("/v1/worlds/a/particles", create).expect(201);
+        client.post("/v1/worlds/a/advance", r#"{"duration":1}"#).expect(200);
+        for change in ["advance", "remove", "delete"] {
+            let before = client.send("GET", "/v1/worlds/a/state", &[("accept", accept)], None).expect(200).body;
+            let mut slow = service.client();
+            slow.raw(
+                format!("GET /v1/worlds/a/state HTTP/1.1\r\nhost: localhost\r\naccept: {accept}\r\n\r\n").as_bytes(),
+            );
+            let head = slow.bytes(4096);
+            match change {
+                "advance" => client.post("/v1/worlds/a/advance", r#"{"duration":1,"steps":3}"#),
+                "remove" => client.delete("/v1/worlds/a/particles/299999"),
+                _ => client.delete("/v1/worlds/a"),
+            };
+            assert!(head.starts_with(b"HTTP/1.1 200 OK\r\n"));
+            let rest = slow.rest_of_answer(&head);
+            assert!(rest == before, "{accept}, {change}: {} of {} bytes", rest.len(), before.len());
+            if change == "delete" {
+                client.get("/v1/worlds/a").expect(404);
+            }
         }
     }
     assert!(client.get("/metrics").text().contains("\npointmass_in_flight_charged_bytes 0\n"));
@@ -267,17 +295,23 @@ fn large_reads_of_a_batch_are_of_their_moments() {
 fn a_kept_answer_has_its_columns() {
     let service = shared();
     let mut client = service.client();
-    client.put("/v1/worlds/kept", "").expect(201);
-    client.post("/v1/worlds/kept/particles", r#"{"count":5500,"velocity":[1,2,3]}"#).expect(201);
-    let advance = |client: &mut Client, more: &[(&str, &str)]| {
-        let headers = [&[("idempotency-key", "k")], more].concat();
-        client.send("POST", "/v1/worlds/kept/advance", &headers, Some(br#"{"duration":1,"return":["position"]}"#))
-    };
-    let first = advance(&mut client, &[]).expect(200);
-    let again = advance(&mut client, &[]).expect(200);
-    assert!(first.body == again.body && again.header("idempotency-replayed") == Some("true"));
-    assert_eq!(first.json()["state"]["position"][5499], json!([1.0, 2.0, 3.0]));
-    assert_eq!(advance(&mut client, &[CBOR]).expect(422).json()["code"], "idempotency_key_reused");
+    for (world, more) in [("kept", &[][..]), ("kept-lent", &[CBOR][..])] {
+        let path = format!("/v1/worlds/{world}");
+        client.put(&path, r#"{"integrator":"newton_euler"}"#).expect(201);
+        client.post(&format!("{path}/particles"), r#"{"count":7500,"velocity":[1,2,3]}"#).expect(201);
+        let advance = |client: &mut Client, more: &[(&str, &str)]| {
+            let headers = [&[("idempotency-key", "k")], more].concat();
+            let body = br#"{"duration":1,"return":["position"]}"#;
+            client.send("POST", &format!("{path}/advance"), &headers, Some(body))
+        };
+        let first = advance(&mut client, more).expect(200);
+        let again = advance(&mut client, more).expect(200);
+        assert!(first.body == again.body && again.header("idempotency-replayed") == Some("true"));
+        let told = if more.is_empty() { first.json() } else { Cbor::of(&first) };
+        assert_eq!(flat(&told["state"]["position"], false)[3 * 7499..], flat(&json!([1.0, 2.0, 3.0]), false));
+        let other = if more.is_empty() { &[CBOR][..] } else { &[] };
+        assert_eq!(advance(&mut client, other).expect(422).json()["code"], "idempotency_key_reused");
+    }
 }
 
 /// Text is packed for those who ask for it, where it is long; and says the same.
