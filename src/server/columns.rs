@@ -157,7 +157,7 @@ impl<R: WireReal> Columns<R> {
             }
             while self.done < self.count {
                 let mut block = self.block(world);
-                write_values(property, &mut block, world, writer);
+                write_values(property, &mut block, world, self.count, writer);
                 self.next = block.ids().next_back().map_or(self.next, |last| ParticleId(last.0 + 1));
                 let from = self.done;
                 self.done += block.len();
@@ -209,7 +209,7 @@ impl<R: WireReal> Columns<R> {
             }
         };
         match last {
-            Some(last) => block.reusing(last),
+            Some(last) => block.after(last),
             None => block,
         }
     }
@@ -244,7 +244,13 @@ fn begin<R: WireReal>(property: Option<Property>, count: usize, writer: &mut Wri
 /// The tag of an array of unsigned integers of 64 bits, little-endian (RFC 8746).
 const UINT64_LE: u64 = 71;
 
-fn write_values<R: WireReal>(property: Option<Property>, block: &mut Block<R>, world: &World<R>, writer: &mut Writer) {
+fn write_values<R: WireReal>(
+    property: Option<Property>,
+    block: &mut Block<R>,
+    world: &World<R>,
+    count: usize,
+    writer: &mut Writer,
+) {
     let each = |value: fn(ParticleState<R>) -> R| block.properties(world).map(value);
     match property {
         None if writer.encoding == Encoding::Json => writer.members(block.ids().map(|id| id.0)),
@@ -254,8 +260,8 @@ fn write_values<R: WireReal>(property: Option<Property>, block: &mut Block<R>, w
             let (places, _) = writer.bytes[old..].as_chunks_mut();
             places.iter_mut().zip(block.ids()).for_each(|(place, id)| *place = id.0.to_le_bytes());
         }
-        Some(Property::Position) => write_vectors(block.motion(world).0, writer),
-        Some(Property::Velocity) => write_vectors(block.motion(world).1, writer),
+        Some(Property::Position) => write_vectors(block.motion(world, count).0, writer),
+        Some(Property::Velocity) => write_vectors(block.motion(world, count).1, writer),
         Some(Property::Acceleration) => {
             let vectors: Vec<[R; 3]> = block.properties(world).map(|state| state.acceleration.into()).collect();
             write_vectors(&vectors, writer);

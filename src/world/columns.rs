@@ -9,10 +9,15 @@ use crate::real::Real;
 use crate::world::motion::{Carrier, Rows, Span};
 use crate::world::{ParticleState, States, World};
 
+/// Base times up to which their coefficients are kept for the blocks to come: half a megabyte.
+const FORMS_MAX: usize = 16_384;
+
 /// Some particles of a world, and room for where they are.
 #[derive(Debug, Clone)]
 pub(crate) struct Block<R: Real> {
     listed: Listed,
+    /// What carries this block and the next ones.
+    carrier: Option<Carrier<R>>,
     room: States<R>,
     /// Whether the room has where these particles are.
     is_carried: bool,
@@ -45,18 +50,22 @@ impl<R: Real> Block<R> {
             },
             Listed::Range,
         );
-        Self { listed, room: States::default(), is_carried: false }
+        Self::new(listed)
     }
 
     /// These particles; `None` when one of them is not there.
     pub(crate) fn of(world: &World<R>, ids: &[ParticleId]) -> Option<Self> {
         let rows = ids.iter().map(|id| world.ids.row(*id)).collect::<Option<_>>()?;
-        Some(Self { listed: Listed::List(ids.to_vec(), rows), room: States::default(), is_carried: false })
+        Some(Self::new(Listed::List(ids.to_vec(), rows)))
     }
 
-    /// The room of another, for this one.
-    pub(crate) fn reusing(self, other: Self) -> Self {
-        Self { room: other.room, ..self }
+    fn new(listed: Listed) -> Self {
+        Self { listed, carrier: None, room: States::default(), is_carried: false }
+    }
+
+    /// With what another one of the same world was carried by and the room for it.
+    pub(crate) fn after(self, other: Self) -> Self {
+        Self { carrier: other.carrier, room: other.room, ..self }
     }
 
     pub(crate) fn len(&self) -> usize {
@@ -70,18 +79,19 @@ impl<R: Real> Block<R> {
         })
     }
 
-    /// Positions and velocities at the clock of the world: those of its columns, where they hold now.
-    pub(crate) fn motion<'a>(&'a mut self, world: &'a World<R>) -> Motion<'a, R> {
-        let particles = &world.particles;
+    /// Positions and velocities at the clock of the world: those of its columns, where they hold now. `count` particles are
+    /// read in all.
+    pub(crate) fn motion<'a>(&'a mut self, world: &'a World<R>, count: usize) -> Motion<'a, R> {
+        if let (Listed::Range(range), Some((positions, velocities))) = (&self.listed, world.motion_as_it_is()) {
+            return (&positions[range.clone()], &velocities[range.clone()]);
+        }
         if !self.is_carried {
-            let mut carrier = Carrier::new(world, Span::To(world.clock), false, self.len());
-            if let (Listed::Range(range), true) = (&self.listed, carrier.is_still()) {
-                return (&particles.position[range.clone()], &particles.velocity[range.clone()]);
-            }
+            let new = || Carrier::new(world, Span::To(world.clock), false, count.min(FORMS_MAX));
+            let mut carrier = self.carrier.take().unwrap_or_else(new);
             let mut room = std::mem::take(&mut self.room);
             room.clear();
             self.rows().blocks().for_each(|rows| carrier.read(world, &rows, &mut room.position, &mut room.velocity));
-            (self.room, self.is_carried) = (room, true);
+            (self.carrier, self.room, self.is_carried) = (Some(carrier), room, true);
         }
         (&self.room.position, &self.room.velocity)
     }

@@ -68,7 +68,7 @@ pub(super) enum Span {
 }
 
 /// Carries particles along the closed form. E, φ and ψ are computed once where many particles share damping and time.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Carrier<R: Real> {
     span: Span,
     /// Whether the force acts as well.
@@ -129,12 +129,6 @@ impl<R: Real> Carrier<R> {
             own_accelerations: Vec::new(),
             start: (Vec::new(), Vec::new()),
         }
-    }
-
-    /// Whether everybody is where the columns say.
-    #[cfg(feature = "server")]
-    pub(super) fn is_still(&self) -> bool {
-        self.still
     }
 
     /// Appends positions and velocities of at most a block of rows, carried from the columns.
