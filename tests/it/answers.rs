@@ -225,6 +225,34 @@ fn columns_that_are_lent_are_those_that_are_written() {
     }
 }
 
+/// Columns under `exact` of particles that share coefficients with others that were pushed when they were.
+#[test]
+fn columns_of_particles_pushed_at_different_times_are_the_particles() {
+    let service = shared();
+    let mut client = service.client();
+    client.put("/v1/worlds/pushed", r#"{"gravity":[0,-10,0]}"#).expect(201);
+    let create = r#"{"count":5000,"velocity":[1,2,3],"damping":0.5}"#;
+    client.post("/v1/worlds/pushed/particles", create).expect(201);
+    for tick in 0..40 {
+        let ids = (0..50).map(|k| (37 * tick + 101 * k) % 5000).collect::<Vec<u64>>();
+        let commands = json!([{"add_force": {"ids": ids, "force": [tick, 1, -1]}}, {"advance": {"duration": 0.125}}]);
+        client.post("/v1/worlds/pushed/commands", &json!({"commands": commands}).to_string()).expect(200);
+    }
+    for removed in [false, true] {
+        let rows = client.get("/v1/worlds/pushed/particles?limit=100000").expect(200).json();
+        let rows = rows["particles"].as_array().expect("a list");
+        let state = "/v1/worlds/pushed/state?fields=position,velocity";
+        let json = client.get(state).expect(200).json();
+        let cbor = Cbor::of(&client.send("GET", state, &[CBOR], None).expect(200));
+        for name in ["id", "position", "velocity"] {
+            let of_rows = flat(&rows.iter().map(|row| row[name].clone()).collect(), false);
+            assert!(flat(&json[name], false) == of_rows, "{name}, {removed}");
+            assert!(flat(&cbor[name], false) == of_rows, "{name} in CBOR, {removed}");
+        }
+        client.delete("/v1/worlds/pushed/particles/77");
+    }
+}
+
 /// A large answer is of one moment, whatever happens to the world while it is read; and holds nothing afterwards.
 #[test]
 fn a_large_answer_is_of_one_moment() {
