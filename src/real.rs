@@ -52,9 +52,9 @@ mod sealed {
         /// The same back, each rounded to the nearest.
         fn store<S: Simd>(values: (S::f64s, S::f64s), to: &mut [Self]);
         /// A register of four doubles, from as many of these.
-        fn load_four<S: Simd>(simd: S, from: &[Self; 4]) -> f64x4<S>;
+        fn load_four<S: Simd>(simd: S, from: &[Self]) -> f64x4<S>;
         /// The same back, each rounded to the nearest.
-        fn store_four<S: Simd>(values: f64x4<S>, to: &mut [Self; 4]);
+        fn store_four<S: Simd>(values: f64x4<S>, to: &mut [Self]);
         /// The bytes of one.
         #[cfg(feature = "snapshot")]
         const BYTES: usize;
@@ -101,12 +101,12 @@ mod sealed {
             low.narrow(high).store_slice(to);
         }
         #[inline(always)]
-        fn load_four<S: Simd>(simd: S, from: &[Self; 4]) -> f64x4<S> {
+        fn load_four<S: Simd>(simd: S, from: &[Self]) -> f64x4<S> {
             let (low, high) = simd.widen_f32x4(f32x4::from_slice(simd, from));
             simd.combine_f64x2(low, high)
         }
         #[inline(always)]
-        fn store_four<S: Simd>(values: f64x4<S>, to: &mut [Self; 4]) {
+        fn store_four<S: Simd>(values: f64x4<S>, to: &mut [Self]) {
             let simd = values.token();
             let (low, high) = simd.split_f64x4(values);
             simd.narrow_f64x2(low, high).store_slice(to);
@@ -128,11 +128,11 @@ mod sealed {
             high.store_slice(to_high);
         }
         #[inline(always)]
-        fn load_four<S: Simd>(simd: S, from: &[Self; 4]) -> f64x4<S> {
+        fn load_four<S: Simd>(simd: S, from: &[Self]) -> f64x4<S> {
             f64x4::from_slice(simd, from)
         }
         #[inline(always)]
-        fn store_four<S: Simd>(values: f64x4<S>, to: &mut [Self; 4]) {
+        fn store_four<S: Simd>(values: f64x4<S>, to: &mut [Self]) {
             values.store_slice(to);
         }
     }

@@ -189,7 +189,6 @@ impl End {
 
 /// Everything about the particles of a world, into buffers that are kept.
 pub(crate) fn read_all<R: Real>(world: &World<R>, into: &mut States<R>) {
-    into.clear();
     world.read(ParticleId(0), usize::MAX, into);
 }
 

@@ -163,10 +163,9 @@ impl<R: Number> Eager<R> {
     }
 
     fn read_all(&self, into: &mut States<R>) {
-        into.clear();
-        into.id.extend_from_slice(&self.id);
-        into.position.extend_from_slice(&self.position);
-        into.velocity.extend_from_slice(&self.velocity);
+        into.id.clone_from(&self.id);
+        into.position.clone_from(&self.position);
+        into.velocity.clone_from(&self.velocity);
     }
 }
 

@@ -107,6 +107,5 @@ pub(crate) fn add_forces<R: Number>(forces: Vec<R::Vec3>) -> Command<R> {
 
 /// What a program that draws or sends a world needs of it. Buffers are kept from one read to the next.
 pub(crate) fn read_all<R: Number>(world: &World<R>, into: &mut States<R>) {
-    into.clear();
     world.read(ParticleId(0), usize::MAX, into);
 }

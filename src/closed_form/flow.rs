@@ -4,7 +4,8 @@
 
 use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, dispatch, f64x4};
 
-use super::{Among, ClosedForm, LANES_MAX};
+use super::lanes::LANES_MAX;
+use super::{Among, ClosedForm};
 use crate::real::Real;
 
 /// Registers of doubles that are computed together: whole particles, also of registers of singles.
@@ -69,7 +70,6 @@ pub(crate) fn carry_each<R: Real>(
 ) {
     let from = (from.0.as_flattened(), from.1.as_flattened());
     let to = (to_p.as_flattened_mut(), to_v.as_flattened_mut());
-    assert!([from.0.len(), from.1.len(), to.0.len(), to.1.len()] == [3 * forms.1.len(); 4]);
     dispatch!(level, simd => match accelerations {
         Among::Uniform(a) => each(simd, forms, std::iter::repeat(&a), from, to),
         Among::Each(a) => each(simd, forms, a, from, to),
@@ -83,22 +83,29 @@ fn each<'a, S: Simd, R: Real>(
     simd: S,
     (forms, named): (&[ClosedForm], &[u32]),
     accelerations: impl IntoIterator<Item = &'a [f64; 3]>,
-    from: (&[R], &[R]),
-    to: (&mut [R], &mut [R]),
+    (from_p, from_v): (&[R], &[R]),
+    (to_p, to_v): (&mut [R], &mut [R]),
 ) {
+    let len = 3 * named.len();
+    let (from_p, from_v, to_p, to_v) = (&from_p[..len], &from_v[..len], &mut to_p[..len], &mut to_v[..len]);
+    let Some((last, named)) = named.split_last() else { return };
     let mut accelerations = accelerations.into_iter();
     let mut next = || *accelerations.next().expect("as many as particles");
-    let Some((last, named)) = named.split_last() else { return };
-    for (i, name) in named.iter().enumerate() {
-        let (p, v) = (four_from(from.0, 3 * i), four_from(from.1, 3 * i));
-        let (p, v) = carry_four(simd, forms[*name as usize], next(), p, v);
-        R::store_four(p, to.0[3 * i..].first_chunk_mut().expect("one more particle"));
-        R::store_four(v, to.1[3 * i..].first_chunk_mut().expect("one more particle"));
+    let mut at = 0;
+    for name in named {
+        // It never does; but so the bound is looked at once, and not in each of the four slices.
+        if at + 4 > len {
+            break;
+        }
+        let here = at..at + 4;
+        let (p, v) = carry_four(simd, forms[*name as usize], next(), &from_p[here.clone()], &from_v[here.clone()]);
+        R::store_four(p, &mut to_p[here.clone()]);
+        R::store_four(v, &mut to_v[here]);
+        at += 3;
     }
-    let at = 3 * named.len();
-    let alone = |numbers: &[R]| std::array::from_fn(|k| numbers.get(at + k).copied().unwrap_or(R::ZERO));
-    let (p, v) = carry_four(simd, forms[*last as usize], next(), &alone(from.0), &alone(from.1));
-    for (end, to) in [(p, to.0), (v, to.1)] {
+    let alone = |numbers: &[R]| -> [R; 4] { std::array::from_fn(|k| *numbers.get(at + k).unwrap_or(&R::ZERO)) };
+    let (p, v) = carry_four(simd, forms[*last as usize], next(), &alone(from_p), &alone(from_v));
+    for (end, to) in [(p, to_p), (v, to_v)] {
         let mut four = [R::ZERO; 4];
         R::store_four(end, &mut four);
         to[at..].copy_from_slice(&four[..3]);
@@ -106,22 +113,17 @@ fn each<'a, S: Simd, R: Real>(
 }
 
 #[inline(always)]
-fn four_from<R: Real>(numbers: &[R], at: usize) -> &[R; 4] {
-    numbers[at..].first_chunk().expect("one more particle")
-}
-
-#[inline(always)]
 fn carry_four<S: Simd, R: Real>(
     simd: S,
     form: ClosedForm,
     [x, y, z]: [f64; 3],
-    p: &[R; 4],
-    v: &[R; 4],
+    p: &[R],
+    v: &[R],
 ) -> (f64x4<S>, f64x4<S>) {
     let ClosedForm { kept, phi, psi, rest } = form;
     let [kept, phi, psi, rest] = [kept, phi, psi, rest].map(|of| f64x4::splat(simd, of));
     let a = f64x4::from_slice(simd, &[x, y, z, 0.0]);
-    carry_register::<S, R, _>(simd, [kept, phi, psi, rest, a], R::load_four(simd, p), R::load_four(simd, v))
+    carry_register(simd, [kept, phi, psi, rest, a], R::load_four(simd, p), R::load_four(simd, v))
 }
 
 #[inline(always)]
@@ -147,8 +149,8 @@ fn carry_together<S: Simd, R: Real>(simd: S, held: &Held<S>, p: &mut [R], v: &mu
     let pair = 2 * S::f64s::LEN;
     for (k, (p, v)) in p.chunks_exact_mut(pair).zip(v.chunks_exact_mut(pair)).enumerate() {
         let (places, speeds) = (R::load(simd, p), R::load(simd, v));
-        let first = carry_register::<S, R, _>(simd, held.terms(2 * k), places.0, speeds.0);
-        let second = carry_register::<S, R, _>(simd, held.terms(2 * k + 1), places.1, speeds.1);
+        let first = carry_register(simd, held.terms(2 * k), places.0, speeds.0);
+        let second = carry_register(simd, held.terms(2 * k + 1), places.1, speeds.1);
         R::store::<S>((first.0, second.0), p);
         R::store::<S>((first.1, second.1), v);
     }
@@ -157,11 +159,11 @@ fn carry_together<S: Simd, R: Real>(simd: S, held: &Held<S>, p: &mut [R], v: &mu
 /// Computed in double, before it is rounded once. A damped velocity that has become too small to matter is a zero of its
 /// own sign. The terms are E, φ, ψ, `rest` and A.
 #[inline(always)]
-fn carry_register<S: Simd, R: Real, V: SimdFloat<S, Element = f64>>(simd: S, terms: [V; 5], p: V, v: V) -> (V, V) {
+fn carry_register<S: Simd, V: SimdFloat<S, Element = f64>>(simd: S, terms: [V; 5], p: V, v: V) -> (V, V) {
     let [kept, phi, psi, rest, a] = terms;
     let zero = V::splat(simd, 0.0);
     let speed = v * kept + a * phi;
-    let is_slow = speed.abs().simd_lt(rest * R::REST_UNROUNDED);
+    let is_slow = speed.abs().simd_lt(rest);
     let is_still = rest.simd_lt(zero);
     let speed = is_slow.select(zero.copysign(speed), speed);
     (is_still.select(p, p + (v * phi + a * psi)), is_still.select(v, speed))

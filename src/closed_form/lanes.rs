@@ -1,5 +1,6 @@
 //! Doubles, one or many at once.
 
+use std::array;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use fearless_simd::{ExtractToken, Select, Simd, SimdBase, SimdFloat, SimdMask};
@@ -70,132 +71,150 @@ impl Lanes for f64 {
 /// The most lanes that a register has.
 pub(super) const LANES_MAX: usize = 8;
 
-/// A register of doubles.
-#[derive(Clone, Copy)]
-pub(super) struct Register<S: Simd>(S::f64s);
+/// Registers that are computed side by side: most of the time one of them alone would wait for its last result.
+const ABREAST: usize = 2;
 
-impl<S: Simd> Register<S> {
-    pub(super) const LEN: usize = S::f64s::LEN;
+/// The most doubles of `Registers`.
+pub(super) const LEN_MAX: usize = ABREAST * LANES_MAX;
+
+/// Registers of doubles.
+#[derive(Clone, Copy)]
+pub(super) struct Registers<S: Simd>([S::f64s; ABREAST]);
+
+impl<S: Simd> Registers<S> {
+    pub(super) const LEN: usize = ABREAST * S::f64s::LEN;
 
     /// The first values of these.
     #[inline(always)]
-    pub(super) fn load(simd: S, values: &[f64; LANES_MAX]) -> Self {
-        Self(S::f64s::from_slice(simd, &values[..Self::LEN]))
+    pub(super) fn load(simd: S, values: &[f64; LEN_MAX]) -> Self {
+        Self(array::from_fn(|k| S::f64s::from_slice(simd, &values[k * S::f64s::LEN..][..S::f64s::LEN])))
     }
 
-    /// Its lanes, and zeros behind them.
+    /// Their lanes, and zeros behind them.
     #[inline(always)]
-    pub(super) fn store(self) -> [f64; LANES_MAX] {
-        let mut values = [0.0; LANES_MAX];
-        self.0.store_slice(&mut values[..Self::LEN]);
+    pub(super) fn store(self) -> [f64; LEN_MAX] {
+        let mut values = [0.0; LEN_MAX];
+        for (register, values) in self.0.into_iter().zip(values.chunks_exact_mut(S::f64s::LEN)) {
+            register.store_slice(values);
+        }
         values
+    }
+
+    #[inline(always)]
+    fn map(self, f: impl Fn(S::f64s) -> S::f64s) -> Self {
+        Self(array::from_fn(|k| f(self.0[k])))
+    }
+
+    #[inline(always)]
+    fn zip(self, other: Self, f: impl Fn(S::f64s, S::f64s) -> S::f64s) -> Self {
+        Self(array::from_fn(|k| f(self.0[k], other.0[k])))
     }
 }
 
-impl<S: Simd> Add for Register<S> {
+impl<S: Simd> Add for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn add(self, other: Self) -> Self {
-        Self(self.0 + other.0)
+        self.zip(other, |a, b| a + b)
     }
 }
 
-impl<S: Simd> Add<f64> for Register<S> {
+impl<S: Simd> Add<f64> for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn add(self, other: f64) -> Self {
-        Self(self.0 + other)
+        self.map(|a| a + other)
     }
 }
 
-impl<S: Simd> Sub for Register<S> {
+impl<S: Simd> Sub for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn sub(self, other: Self) -> Self {
-        Self(self.0 - other.0)
+        self.zip(other, |a, b| a - b)
     }
 }
 
-impl<S: Simd> Mul for Register<S> {
+impl<S: Simd> Mul for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn mul(self, other: Self) -> Self {
-        Self(self.0 * other.0)
+        self.zip(other, |a, b| a * b)
     }
 }
 
-impl<S: Simd> Mul<f64> for Register<S> {
+impl<S: Simd> Mul<f64> for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn mul(self, other: f64) -> Self {
-        Self(self.0 * other)
+        self.map(|a| a * other)
     }
 }
 
-impl<S: Simd> Div for Register<S> {
+impl<S: Simd> Div for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn div(self, other: Self) -> Self {
-        Self(self.0 / other.0)
+        self.zip(other, |a, b| a / b)
     }
 }
 
-impl<S: Simd> Neg for Register<S> {
+impl<S: Simd> Neg for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn neg(self) -> Self {
-        Self(-self.0)
+        self.map(|a| -a)
     }
 }
 
-impl<S: Simd> Lane for Register<S> {
+impl<S: Simd> Lane for Registers<S> {
     #[inline(always)]
     fn lost_in_product(self, other: Self, product: Self) -> Self {
         // Instruction sets with registers of four doubles and more have a fused multiply-add.
-        if Self::LEN >= 4 {
-            Self(self.0.mul_sub_precise(other.0, product.0))
+        if S::f64s::LEN >= 4 {
+            Self(array::from_fn(|k| self.0[k].mul_sub_precise(other.0[k], product.0[k])))
         } else {
             lost_in_product(self, other, product)
         }
     }
 }
 
-impl<S: Simd> Lanes for Register<S> {
-    type Mask = S::mask64s;
+impl<S: Simd> Lanes for Registers<S> {
+    type Mask = [S::mask64s; ABREAST];
     #[inline(always)]
     fn splat(self, value: f64) -> Self {
-        Self(S::f64s::splat(self.0.token(), value))
+        self.map(|a| S::f64s::splat(a.token(), value))
     }
     #[inline(always)]
     fn is_below(self, bound: f64) -> Self::Mask {
-        self.0.simd_lt(bound)
+        self.0.map(|a| a.simd_lt(bound))
     }
     #[inline(always)]
     fn choose(mask: Self::Mask, then: Self, otherwise: Self) -> Self {
-        Self(mask.select(then.0, otherwise.0))
+        Self(array::from_fn(|k| mask[k].select(then.0[k], otherwise.0[k])))
     }
     #[inline(always)]
     fn all(mask: Self::Mask) -> bool {
-        mask.all_true()
+        mask.iter().all(|mask| mask.all_true())
     }
     #[inline(always)]
     fn any(mask: Self::Mask) -> bool {
-        mask.any_true()
+        mask.iter().any(|mask| mask.any_true())
     }
     #[inline(always)]
     fn mantissa(self) -> Self {
-        Self(S::f64s::from_bits((self.0.to_bits() & FRACTION) | 1.0_f64.to_bits()))
+        self.map(|a| S::f64s::from_bits((a.to_bits() & FRACTION) | 1.0_f64.to_bits()))
     }
     #[inline(always)]
     fn power(self) -> Self {
-        Self(S::f64s::from_bits(self.0.to_bits() & !FRACTION))
+        self.map(|a| S::f64s::from_bits(a.to_bits() & !FRACTION))
     }
     #[inline(always)]
     fn exponent_bits_in(self, number: f64) -> Self {
-        Self(S::f64s::from_bits((self.0.to_bits() >> 52) | number.to_bits()))
+        self.map(|a| S::f64s::from_bits((a.to_bits() >> 52) | number.to_bits()))
     }
     #[inline(always)]
     fn last_bits_as_exponent(self) -> Self {
-        Self(S::f64s::from_bits(self.0.to_bits() << 52))
+        self.map(|a| S::f64s::from_bits(a.to_bits() << 52))
     }
 }

@@ -25,8 +25,9 @@ use std::cell::Cell;
 use fearless_simd::{Level, Simd, dispatch};
 
 use crate::double_double::DoubleDouble;
+use crate::real::Real;
 pub(crate) use flow::{Motion, Same, carry_each};
-use lanes::{LANES_MAX, Lanes, Register};
+use lanes::{LEN_MAX, Lanes, Registers};
 
 /// A value for each of some particles: the same one, or one for each.
 #[derive(Debug, Clone, Copy)]
@@ -44,7 +45,7 @@ pub(crate) struct ClosedForm {
     pub(crate) phi: f64,
     /// ψ in seconds squared.
     pub(crate) psi: f64,
-    /// 1 where the damping is below 1, so that velocities come to rest; 0 where not; -1 where nothing changes at all.
+    /// Velocities of a smaller magnitude come to rest: 0 where there is no damping, -1 where nothing changes at all.
     pub(crate) rest: f64,
 }
 
@@ -53,26 +54,28 @@ impl ClosedForm {
     pub(crate) const STILL: Self = Self { kept: 1.0, phi: 0.0, psi: 0.0, rest: -1.0 };
 }
 
-/// λ of one damping, and 1/λ.
+/// λ of one damping, 1/λ, and the magnitude below which velocities come to rest in m/s.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Decay {
     lambda: DoubleDouble,
     inverse: DoubleDouble,
+    rest: f64,
 }
 
 impl Decay {
     /// For `0 <= damping <= 1`. A thread remembers the last one: it takes as long as to carry a hundred particles, and most
     /// scenes have one damping.
-    pub(crate) fn of(damping: f64) -> Self {
+    pub(crate) fn of<R: Real>(damping: R) -> Self {
+        let (damping, rest): (f64, f64) = (damping.into(), R::REST_UNROUNDED);
         thread_local! {
             static LAST: Cell<(f64, Decay)> = Cell::new((f64::NAN, Decay::default()));
         }
         let (last, decay) = LAST.get();
         if last == damping {
-            return decay;
+            return Self { rest, ..decay };
         }
         let lambda = lambda(damping);
-        let decay = Self { lambda, inverse: one(damping) / lambda };
+        let decay = Self { lambda, inverse: one(damping) / lambda, rest };
         LAST.set((damping, decay));
         decay
     }
@@ -83,7 +86,7 @@ impl Decay {
             return self;
         }
         let lambda = self.lambda + DoubleDouble::from(rate);
-        Self { lambda, inverse: DoubleDouble::new(1.0, 0.0) / lambda }
+        Self { lambda, inverse: DoubleDouble::new(1.0, 0.0) / lambda, ..self }
     }
 
     /// λ in 1/s, rounded.
@@ -103,7 +106,7 @@ impl Decay {
             return self.over_extreme(time);
         }
         let [kept, phi, psi] = ordinary(self.lambda, self.inverse, time);
-        ClosedForm { kept, phi, psi, rest: 1.0 }
+        ClosedForm { kept, phi, psi, rest: self.rest }
     }
 
     /// Neither the time nor any result is near the ends of the range of doubles.
@@ -117,7 +120,7 @@ impl Decay {
     #[cold]
     fn over_extreme(&self, time: f64) -> ClosedForm {
         if self.lambda.hi == f64::INFINITY {
-            return ClosedForm { rest: 1.0, ..ClosedForm::default() };
+            return ClosedForm { rest: self.rest, ..ClosedForm::default() };
         }
         let (mantissa, exponent) = mantissa_and_exponent(time);
         let parts = parts(self.lambda, self.inverse, time, mantissa, power_of_two(exponent.max(-1000)));
@@ -125,9 +128,9 @@ impl Decay {
         let kept = round_scaled(parts.kept, -(parts.halvings as i32));
         if parts.is_small {
             let (phi, psi) = (round_scaled(parts.phi, exponent), round_scaled(parts.psi, 2 * exponent));
-            ClosedForm { kept, phi, psi, rest: 1.0 }
+            ClosedForm { kept, phi, psi, rest: self.rest }
         } else {
-            ClosedForm { kept, phi: parts.phi.hi, psi: parts.psi.hi, rest: 1.0 }
+            ClosedForm { kept, phi: parts.phi.hi, psi: parts.psi.hi, rest: self.rest }
         }
     }
 }
@@ -139,7 +142,7 @@ fn undamped(time: f64) -> ClosedForm {
 }
 
 /// λ of each damping.
-pub(crate) fn decays(level: Level, dampings: &[f64], decays: &mut [Decay]) {
+pub(crate) fn decays<R: Real>(level: Level, dampings: &[R], decays: &mut [Decay]) {
     assert!(dampings.len() == decays.len());
     dispatch!(level, simd => each_decay(simd, dampings, decays));
 }
@@ -159,42 +162,43 @@ pub(crate) fn closed_forms(level: Level, decays: Among<'_, Decay>, times: &[f64]
 }
 
 #[inline(always)]
-fn each_decay<S: Simd>(simd: S, dampings: &[f64], decays: &mut [Decay]) {
-    let len = Register::<S>::LEN;
+fn each_decay<S: Simd, R: Real>(simd: S, dampings: &[R], decays: &mut [Decay]) {
+    let len = Registers::<S>::LEN;
     for (dampings, decays) in dampings.chunks(len).zip(decays.chunks_mut(len)) {
-        let mut damping = [1.0; LANES_MAX];
-        damping[..dampings.len()].copy_from_slice(dampings);
-        let damping = Register::load(simd, &damping);
+        let mut damping = [1.0; LEN_MAX];
+        damping.iter_mut().zip(dampings).for_each(|(lane, damping)| *lane = (*damping).into());
+        let damping = Registers::load(simd, &damping);
         let lambda = lambda(damping);
         let inverse = one(damping) / lambda;
         let lambda = DoubleDouble { hi: lambda.hi.store(), lo: lambda.lo.store() };
         let inverse = DoubleDouble { hi: inverse.hi.store(), lo: inverse.lo.store() };
         for (lane, decay) in decays.iter_mut().enumerate() {
             let lambda = DoubleDouble::new(lambda.hi[lane], lambda.lo[lane]);
-            *decay = Decay { lambda, inverse: DoubleDouble::new(inverse.hi[lane], inverse.lo[lane]) };
+            let inverse = DoubleDouble::new(inverse.hi[lane], inverse.lo[lane]);
+            *decay = Decay { lambda, inverse, rest: R::REST_UNROUNDED };
         }
     }
 }
 
 #[inline(always)]
 fn each_form<S: Simd>(simd: S, decay: impl Fn(usize) -> Decay, times: &[f64], forms: &mut [ClosedForm]) {
-    let len = Register::<S>::LEN;
+    let len = Registers::<S>::LEN;
     for (chunk, (times, forms)) in times.chunks(len).zip(forms.chunks_mut(len)).enumerate() {
-        let [mut lambda_hi, mut lambda_lo, mut inverse_hi, mut inverse_lo] = [[1.0; LANES_MAX]; 4];
-        let mut time = [1.0; LANES_MAX];
+        let [mut lambda_hi, mut lambda_lo, mut inverse_hi, mut inverse_lo] = [[1.0; LEN_MAX]; 4];
+        let mut time = [1.0; LEN_MAX];
         time[..times.len()].copy_from_slice(times);
         for lane in 0..times.len() {
             let decay = decay(chunk * len + lane);
             (lambda_hi[lane], lambda_lo[lane]) = (decay.lambda.hi, decay.lambda.lo);
             (inverse_hi[lane], inverse_lo[lane]) = (decay.inverse.hi, decay.inverse.lo);
         }
-        let load = |hi, lo| DoubleDouble { hi: Register::load(simd, hi), lo: Register::load(simd, lo) };
+        let load = |hi, lo| DoubleDouble { hi: Registers::load(simd, hi), lo: Registers::load(simd, lo) };
         let [kept, phi, psi] =
-            ordinary(load(&lambda_hi, &lambda_lo), load(&inverse_hi, &inverse_lo), Register::load(simd, &time));
+            ordinary(load(&lambda_hi, &lambda_lo), load(&inverse_hi, &inverse_lo), Registers::load(simd, &time));
         let (kept, phi, psi) = (kept.store(), phi.store(), psi.store());
         for (lane, (form, time)) in forms.iter_mut().zip(times).enumerate() {
-            *form = ClosedForm { kept: kept[lane], phi: phi[lane], psi: psi[lane], rest: 1.0 };
             let decay = decay(chunk * len + lane);
+            *form = ClosedForm { kept: kept[lane], phi: phi[lane], psi: psi[lane], rest: decay.rest };
             if decay.lambda.hi == 0.0 || !decay.is_ordinary(*time) {
                 *form = decay.over(*time);
             }

@@ -263,7 +263,7 @@ impl<'a, R: Real> Field<'a, R> {
     ) -> Self {
         let len = laws.acceleration.len();
         let k = |which: usize, i: usize| laws.drag.get(i).map_or(R::ZERO, |k| k[which]);
-        let rate = |damping: R| R::nearest(Decay::of(damping.into()).rate());
+        let rate = |damping: R| R::nearest(Decay::of(damping).rate());
         let damped = |i: usize| if continuous_damping { rate(laws.damping[i]) } else { R::ZERO };
         let column = |value: &dyn Fn(usize) -> R| {
             let values: Vec<R> = (0..len).map(value).collect();

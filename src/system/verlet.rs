@@ -47,7 +47,7 @@ impl<R: Real> Verlet<R> {
         let mut decay = |(i, damping): (usize, &R)| match last {
             Some((of, decay)) if of == (*damping, k1(i)) => decay,
             Some(_) | None => {
-                let decay = Decay::of((*damping).into()).faster_by(k1(i).into());
+                let decay = Decay::of(*damping).faster_by(k1(i).into());
                 last = Some(((*damping, k1(i)), decay));
                 decay
             }

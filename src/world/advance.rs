@@ -462,8 +462,6 @@ impl<R: Real> World<R> {
             if moves {
                 forces.flow(self, &rows, &mut p, &mut v);
             } else {
-                p.clear();
-                v.clear();
                 deferred.read(self, &rows, &mut p, &mut v);
             }
             for (row, (p, v)) in rows.iter().zip(p.iter().zip(&v)) {
@@ -492,8 +490,6 @@ impl<R: Real> Forced<R> {
     }
 
     fn flow(&mut self, world: &World<R>, rows: &Rows<'_>, p: &mut Vec<[R; 3]>, v: &mut Vec<[R; 3]>) {
-        p.clear();
-        v.clear();
         self.start.read(world, rows, p, v);
         self.end.carry(world, rows, p, v);
     }

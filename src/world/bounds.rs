@@ -119,7 +119,7 @@ impl<R: Real> World<R> {
             let (damping, time) = (particles.damping.get(row), (horizon - particles.base_time.get(row)).hi);
             let form = match last {
                 Some((d, t, form)) if d == damping && t == time => form,
-                Some(_) | None => Decay::of(damping.into()).over(time),
+                Some(_) | None => Decay::of(damping).over(time),
             };
             last = Some((damping, time, form));
             let (v, a) = (magnitude(particles.velocity[row]), magnitude(particles.acceleration(row, self.gravity())));

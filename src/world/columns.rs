@@ -89,8 +89,7 @@ impl<R: Real> Block<R> {
             let new = || Carrier::new(world, Span::To(world.clock), false, count.min(FORMS_MAX));
             let mut carrier = self.carrier.take().unwrap_or_else(new);
             let mut room = std::mem::take(&mut self.room);
-            room.clear();
-            self.rows().blocks().for_each(|rows| carrier.read(world, &rows, &mut room.position, &mut room.velocity));
+            carrier.read(world, &self.rows(), &mut room.position, &mut room.velocity);
             (self.carrier, self.room, self.is_carried) = (Some(carrier), room, true);
         }
         (&self.room.position, &self.room.velocity)

@@ -306,7 +306,6 @@ impl<R: Real> World<R> {
                 let mut carrier = Carrier::new(self, Span::To(self.clock), false, perhaps.len());
                 let mut block = States::default();
                 for rows in Rows::List(&perhaps).blocks() {
-                    block.clear();
                     carrier.read(self, &rows, &mut block.position, &mut block.velocity);
                     for (row, velocity) in rows.iter().zip(&block.velocity).filter(|(_, v)| **v == zero()) {
                         let keeps_signs = self.particles.damping.get(row) == R::ZERO;

@@ -138,15 +138,6 @@ impl<R: Real> Default for States<R> {
     }
 }
 
-impl<R: Real> States<R> {
-    /// Takes all out and keeps the room.
-    pub fn clear(&mut self) {
-        self.id.clear();
-        self.position.clear();
-        self.velocity.clear();
-    }
-}
-
 impl<R: Real> ParticleState<R> {
     /// 1/inverse mass in kilograms; `None` when the particle is immovable, or so heavy that the number is not finite (an
     /// inverse mass below about 2⁻¹⁰²⁴, 2⁻¹²⁸ in single).
@@ -423,7 +414,6 @@ impl<R: Real> World<R> {
                 }
                 (rows, at) = (every.by_ref().take(limit).collect(), 0);
                 let list: Vec<usize> = rows.iter().map(|(_, row)| *row).collect();
-                block.clear();
                 carrier.read(self, &Rows::List(&list), &mut block.position, &mut block.velocity);
             }
             let (id, row) = *rows.get(at)?;
@@ -432,9 +422,10 @@ impl<R: Real> World<R> {
         })
     }
 
-    /// Appends ids, positions and velocities of up to `limit` particles, in ascending order of id, from the first id that
-    /// is at least `first`. The fastest way to read many: under [`exact`](crate::Integrator::Exact) they are evaluated in vector
-    /// registers, under the others copied.
+    /// Writes ids, positions and velocities of up to `limit` particles, in ascending order of id, from the first id that
+    /// is at least `first`, over what is in `into`. The fastest way to read many: under
+    /// [`exact`](crate::Integrator::Exact) they are evaluated in vector registers, under the others copied, and the memory
+    /// of the last read is used again.
     ///
     /// ```
     /// use pointmass::{NewParticles, ParticleId, States, World};
@@ -448,20 +439,20 @@ impl<R: Real> World<R> {
     /// ```
     pub fn read(&self, first: ParticleId, limit: usize, into: &mut States<R>) {
         if let Some(range) = self.ids.rows_from(first, limit) {
+            into.id.clear();
             into.id.extend(range.clone().map(|row| ParticleId(row as u64)));
-            self.read_rows(Rows::Range(range), into);
+            self.read_rows(&Rows::Range(range), into);
         } else {
             let found = self.ids.from(first.0).take(limit);
             let (ids, rows): (Vec<ParticleId>, Vec<usize>) = found.unzip();
-            into.id.extend(ids);
-            self.read_rows(Rows::List(&rows), into);
+            into.id = ids;
+            self.read_rows(&Rows::List(&rows), into);
         }
     }
 
-    /// Appends positions and velocities.
-    fn read_rows(&self, rows: Rows<'_>, into: &mut States<R>) {
+    fn read_rows(&self, rows: &Rows<'_>, into: &mut States<R>) {
         let mut carrier = Carrier::new(self, Span::To(self.clock), false, rows.len());
-        rows.blocks().for_each(|rows| carrier.read(self, &rows, &mut into.position, &mut into.velocity));
+        carrier.read(self, rows, &mut into.position, &mut into.velocity);
     }
 
     /// Shows all particles, in ascending order of id, in blocks that stay in the cache: the fastest way to look at every
@@ -483,7 +474,7 @@ impl<R: Real> World<R> {
         let mut carrier = Carrier::new(self, Span::To(self.clock), false, count);
         let mut block = States::default();
         let mut show = |ids: &mut dyn Iterator<Item = ParticleId>, rows: &Rows<'_>| {
-            block.clear();
+            block.id.clear();
             block.id.extend(ids);
             carrier.read(self, rows, &mut block.position, &mut block.velocity);
             visit(&block);

@@ -50,11 +50,11 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Appends the values of some rows.
-fn copy_rows<T: Copy>(column: &[T], rows: &Rows<'_>, into: &mut Vec<T>) {
+/// The values of some rows.
+fn copy_rows<T: Copy>(column: &[T], rows: &Rows<'_>, to: &mut [T]) {
     match rows {
-        Rows::Range(range) => into.extend_from_slice(&column[range.clone()]),
-        Rows::List(list) => into.extend(list.iter().map(|&row| column[row])),
+        Rows::Range(range) => to.copy_from_slice(&column[range.clone()]),
+        Rows::List(list) => to.iter_mut().zip(*list).for_each(|(to, &row)| *to = column[row]),
     }
 }
 
@@ -109,7 +109,7 @@ impl<R: Real> Carrier<R> {
             && !still
         {
             forms.resize(times.len(), ClosedForm::default());
-            closed_forms(world.level, Among::Uniform(Decay::of(damping.into())), &times, &mut forms);
+            closed_forms(world.level, Among::Uniform(Decay::of(damping)), &times, &mut forms);
         }
         let uniform_acceleration =
             particles.uniform_acceleration(world.gravity()).filter(|_| !forced).map(|a| a.map(Into::into));
@@ -131,19 +131,21 @@ impl<R: Real> Carrier<R> {
         }
     }
 
-    /// Appends positions and velocities of at most a block of rows, carried from the columns.
+    /// Positions and velocities of some rows, carried from the columns. What was in the room for them is overwritten, and
+    /// not filled with zeros first: in a room that has been used before, each is written once.
     pub(super) fn read(&mut self, world: &World<R>, rows: &Rows<'_>, p: &mut Vec<[R; 3]>, v: &mut Vec<[R; 3]>) {
         let (positions, velocities) = (&world.particles.position, &world.particles.velocity);
-        let old = p.len();
-        if let (Rows::Range(range), None, false) = (rows, &self.same, self.still) {
-            p.resize(old + rows.len(), zero());
-            v.resize(old + rows.len(), zero());
-            let from = (&positions[range.clone()], &velocities[range.clone()]);
-            self.carry_each(world, rows, from, (&mut p[old..], &mut v[old..]));
-        } else {
-            copy_rows(positions, rows, p);
-            copy_rows(velocities, rows, v);
-            self.carry(world, rows, &mut p[old..], &mut v[old..]);
+        p.resize(rows.len(), zero());
+        v.resize(rows.len(), zero());
+        for (rows, (p, v)) in rows.clone().blocks().zip(p.chunks_mut(BLOCK).zip(v.chunks_mut(BLOCK))) {
+            if let (Rows::Range(range), None, false) = (&rows, &self.same, self.still) {
+                let from = (&positions[range.clone()], &velocities[range.clone()]);
+                self.carry_each(world, &rows, from, (p, v));
+            } else {
+                copy_rows(positions, &rows, p);
+                copy_rows(velocities, &rows, v);
+                self.carry(world, &rows, p, v);
+            }
         }
     }
 
@@ -222,11 +224,11 @@ impl<R: Real> Carrier<R> {
         self.own_forms.resize(rows.len(), ClosedForm::default());
         match &world.particles.damping {
             Column::Uniform(damping) => {
-                let decay = Decay::of((*damping).into());
+                let decay = Decay::of(*damping);
                 closed_forms(world.level, Among::Uniform(decay), &times, &mut self.own_forms);
             }
             Column::PerParticle(damping) => {
-                let dampings: Vec<f64> = rows.iter().map(|row| damping[row].into()).collect();
+                let dampings: Vec<R> = rows.iter().map(|row| damping[row]).collect();
                 let mut rates = vec![Decay::default(); rows.len()];
                 decays(world.level, &dampings, &mut rates);
                 closed_forms(world.level, Among::Each(&rates), &times, &mut self.own_forms);
@@ -254,7 +256,7 @@ impl<R: Real> World<R> {
         let (mut p, mut v) = ([particles.position[row]], [particles.velocity[row]]);
         let time = (self.clock - particles.base_time.get(row)).hi;
         if time != 0.0 && !particles.is_resting(row) {
-            let form = Decay::of(particles.damping.get(row).into()).over(time);
+            let form = Decay::of(particles.damping.get(row)).over(time);
             form.carry(self.level, self.acceleration(row), &mut p[0], &mut v[0]);
         }
         (p[0], v[0])
@@ -273,9 +275,8 @@ impl<R: Real> World<R> {
         if count < 16 {
             return rows.iter().for_each(|row| self.rebase(row));
         }
-        let (mut p, mut v) = (Vec::with_capacity(count), Vec::with_capacity(count));
-        let mut carrier = Carrier::new(self, Span::To(self.clock), false, count);
-        rows.clone().blocks().for_each(|rows| carrier.read(self, &rows, &mut p, &mut v));
+        let (mut p, mut v) = (Vec::new(), Vec::new());
+        Carrier::new(self, Span::To(self.clock), false, count).read(self, rows, &mut p, &mut v);
         let particles = &mut *self.particles;
         for (row, (p, v)) in rows.iter().zip(p.into_iter().zip(v)) {
             particles.set_base(row, p, v, self.clock);

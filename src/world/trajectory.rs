@@ -135,7 +135,7 @@ impl<R: Real> World<R> {
     /// Position and velocity of one row, a time after the clock, with the force that acts on it.
     fn state_at(&self, row: usize, time: f64) -> ([R; 3], [R; 3]) {
         let particles = &self.particles;
-        let decay = Decay::of(particles.damping.get(row).into());
+        let decay = Decay::of(particles.damping.get(row));
         if particles.is_resting(row) && !particles.is_forced(row) {
             return (particles.position[row], particles.velocity[row]);
         }

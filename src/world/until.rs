@@ -37,7 +37,7 @@ impl<R: Real> World<R> {
         let elapsed = if forced { 0.0 } else { (self.clock - particles.base_time.get(row)).hi };
         let a = dot(normal, if forced { self.driving(row) } else { self.acceleration(row) });
         let (f, u) = (until.plane.distance(p), dot(normal, v.map(Into::into)));
-        let decay = Decay::of(particles.damping.get(row).into());
+        let decay = Decay::of(particles.damping.get(row));
         let form = |t: f64| decay.over(elapsed + t);
         let distance = |t: f64| f + (u * form(t).phi + a * form(t).psi);
         let rate = |t: f64| u * form(t).kept + a * form(t).phi;
