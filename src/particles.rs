@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use fearless_simd::{Level, Simd, dispatch};
 
-use crate::accumulators::Accumulators;
+use crate::accumulators::{Accumulators, Acting};
 use crate::base_times::BaseTimes;
 use crate::column::{self, Column};
 use crate::double_double::DoubleDouble;
@@ -87,7 +87,7 @@ impl<R: Real> Particles<R> {
             damping: Column::Uniform(R::ONE),
             inverse_mass: Column::Uniform(R::ONE),
             immovable_count: 0,
-            force: Accumulators::new(),
+            force: Accumulators::default(),
             drag: Column::Uniform(None),
             gravitational_mass: Column::Uniform(None),
             residual: Residuals::zero(0),
@@ -112,7 +112,7 @@ impl<R: Real> Particles<R> {
             + self.has_own_acceleration.bytes()
             + self.damping.bytes()
             + self.inverse_mass.bytes()
-            + self.force.column().bytes()
+            + self.force.bytes()
             + self.drag.bytes()
             + self.gravitational_mass.bytes()
             + self.base_time.bytes()
@@ -239,7 +239,7 @@ impl<R: Real> Particles<R> {
 
     /// The acceleration of some rows, with the share of the force, as far as it can be told without computing it.
     pub(crate) fn driving_acceleration(&self, gravity: [R; 3], rows: Range<usize>) -> Driving<'_, R> {
-        if !self.force.none() {
+        if !self.force.none_within(rows.clone()) {
             return Driving::Each;
         }
         match (self.uniform_acceleration(gravity), &self.has_own_acceleration, &self.own_acceleration) {
@@ -259,17 +259,15 @@ impl<R: Real> Particles<R> {
                 rows.clone().zip(&mut *into).for_each(|(row, a)| *a = self.acceleration(row, gravity));
             }
         }
-        match (self.force.column(), &self.inverse_mass) {
-            (Column::Uniform(f), _) if *f == zero() => {}
-            (Column::PerParticle(f), Column::PerParticle(w)) => {
+        let add = |a: &mut [R; 3], f: [R; 3], w: R| *a = std::array::from_fn(|k| a[k] + f[k] * w);
+        match (self.force.acting(), &self.inverse_mass) {
+            (Acting::Few(few), w) => {
+                few.within(rows.clone()).for_each(|(row, f)| add(&mut into[row - rows.start], f, w.get(row)));
+            }
+            (Acting::Many(Column::PerParticle(f)), Column::PerParticle(w)) => {
                 dispatch!(level, simd => add_each(simd, into, &f[rows.clone()], &w[rows]));
             }
-            (f, w) => {
-                for (a, row) in into.iter_mut().zip(rows) {
-                    let (f, w) = (f.get(row), w.get(row));
-                    *a = std::array::from_fn(|k| a[k] + f[k] * w);
-                }
-            }
+            (Acting::Many(f), w) => into.iter_mut().zip(rows).for_each(|(a, row)| add(a, f.get(row), w.get(row))),
         }
     }
 
@@ -307,7 +305,7 @@ impl<R: Real> Particles<R> {
         self.has_own_acceleration.swap_remove(row);
         self.damping.swap_remove(row);
         self.inverse_mass.swap_remove(row);
-        self.force.swap_remove(row);
+        self.force.swap_remove(row, self.position.len());
         self.drag.swap_remove(row);
         self.gravitational_mass.swap_remove(row);
         if !self.residual.position.is_empty() {

@@ -148,12 +148,13 @@ pub(crate) fn decays<R: Real>(level: Level, dampings: &[R], decays: &mut [Decay]
 }
 
 /// E, φ and ψ of each damping over each time up to 2⁴⁰⁰.
-pub(crate) fn closed_forms(level: Level, decays: Among<'_, Decay>, times: &[f64], forms: &mut [ClosedForm]) {
-    assert!(times.len() == forms.len());
+pub(crate) fn closed_forms(level: Level, decays: Among<'_, Decay>, times: &[f64], forms: &mut Vec<ClosedForm>) {
+    forms.clear();
+    forms.reserve_exact(times.len());
     if let Among::Uniform(decay) = decays
         && decay.lambda.hi == 0.0
     {
-        return forms.iter_mut().zip(times).for_each(|(form, time)| *form = undamped(*time));
+        return forms.extend(times.iter().map(|time| undamped(*time)));
     }
     dispatch!(level, simd => match decays {
         Among::Uniform(decay) => each_form(simd, |_| decay, times, forms),
@@ -181,9 +182,9 @@ fn each_decay<S: Simd, R: Real>(simd: S, dampings: &[R], decays: &mut [Decay]) {
 }
 
 #[inline(always)]
-fn each_form<S: Simd>(simd: S, decay: impl Fn(usize) -> Decay, times: &[f64], forms: &mut [ClosedForm]) {
+fn each_form<S: Simd>(simd: S, decay: impl Fn(usize) -> Decay, times: &[f64], forms: &mut Vec<ClosedForm>) {
     let len = Registers::<S>::LEN;
-    for (chunk, (times, forms)) in times.chunks(len).zip(forms.chunks_mut(len)).enumerate() {
+    for (chunk, times) in times.chunks(len).enumerate() {
         let [mut lambda_hi, mut lambda_lo, mut inverse_hi, mut inverse_lo] = [[1.0; LEN_MAX]; 4];
         let mut time = [1.0; LEN_MAX];
         time[..times.len()].copy_from_slice(times);
@@ -196,9 +197,12 @@ fn each_form<S: Simd>(simd: S, decay: impl Fn(usize) -> Decay, times: &[f64], fo
         let [kept, phi, psi] =
             ordinary(load(&lambda_hi, &lambda_lo), load(&inverse_hi, &inverse_lo), Registers::load(simd, &time));
         let (kept, phi, psi) = (kept.store(), phi.store(), psi.store());
-        for (lane, (form, time)) in forms.iter_mut().zip(times).enumerate() {
+        let first = forms.len();
+        let rest = |lane| decay(chunk * len + lane).rest;
+        let form = |lane| ClosedForm { kept: kept[lane], phi: phi[lane], psi: psi[lane], rest: rest(lane) };
+        forms.extend((0..times.len()).map(form));
+        for (lane, (form, time)) in forms[first..].iter_mut().zip(times).enumerate() {
             let decay = decay(chunk * len + lane);
-            *form = ClosedForm { kept: kept[lane], phi: phi[lane], psi: psi[lane], rest: decay.rest };
             if decay.lambda.hi == 0.0 || !decay.is_ordinary(*time) {
                 *form = decay.over(*time);
             }
@@ -452,7 +456,7 @@ fn round_scaled(x: DoubleDouble, exponent: i32) -> f64 {
 mod tests {
     use fearless_simd::Level;
 
-    use super::{Among, ClosedForm, Decay, closed_forms, decays};
+    use super::{Among, Decay, closed_forms, decays};
 
     /// In lanes or alone, on every instruction set of this machine, for ordinary and for extreme dampings and times.
     #[test]
@@ -464,7 +468,7 @@ mod tests {
         for level in [Level::baseline(), Level::new()] {
             let mut rates = vec![Decay::default(); dampings.len()];
             decays(level, &dampings, &mut rates);
-            let mut forms = vec![ClosedForm::default(); dampings.len()];
+            let mut forms = Vec::new();
             closed_forms(level, Among::Each(&rates), &times, &mut forms);
             for (i, form) in forms.iter().enumerate() {
                 let alone = Decay::of(dampings[i]).over(times[i]);

@@ -135,8 +135,8 @@ impl<R: Real> World<R> {
                 let clock = self.clock + DoubleDouble::from(plan.duration);
                 if more == 0 && self.bounds.hold_until::<R>(clock) {
                     match self.particles.force.acting() {
-                        Acting::Few(ids) => ids.len() as u64,
-                        Acting::Many => particles,
+                        Acting::Few(few) => few.len() as u64,
+                        Acting::Many(_) => particles,
                     }
                 } else {
                     particles
@@ -185,7 +185,7 @@ impl<R: Real> World<R> {
         let used = |values| if integrated == 0 { Values::None } else { values };
         self.note_advance();
         if !self.particles.force.is_clear() {
-            self.particles.force.clear(&self.ids);
+            self.particles.force.clear();
         }
         self.bounds.force = 0.0;
         self.clock = clock;
@@ -422,18 +422,12 @@ impl<R: Real> World<R> {
         Ok((forced.len(), inspected))
     }
 
-    /// Rows on which a force acts that moves them, in ascending order of id where they are few.
+    /// Rows on which a force acts that moves them.
     fn forced_rows(&self) -> Vec<usize> {
-        let forced = |row: &usize| self.particles.is_forced(*row);
-        match self.particles.force.acting() {
-            Acting::Few(ids) => {
-                let mut ids = ids.clone();
-                ids.sort_unstable();
-                ids.dedup();
-                ids.into_iter().filter_map(|id| self.ids.row(id)).filter(forced).collect()
-            }
-            Acting::Many => (0..self.particles.len()).filter(forced).collect(),
-        }
+        let particles = &self.particles;
+        let mut rows = particles.force.rows(particles.len());
+        rows.retain(|row| particles.inverse_mass.get(*row) != R::ZERO);
+        rows
     }
 
     /// Refuses an advance at whose end something is not finite.

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::AtomicBool;
 
-use crate::accumulators::Before;
+use crate::accumulators::Acting;
 use crate::command::{Command, Outcome};
 use crate::error::{BatchError, Error, Limits};
 use crate::real::Real;
@@ -39,7 +39,7 @@ impl Part {
 
 enum Kept<R: Real> {
     Nothing,
-    Forces(Before<R>, Bounds),
+    Forces(Acting<R>, Bounds),
     Everything(Box<World<R>>),
 }
 
@@ -120,7 +120,7 @@ impl<R: Real> World<R> {
             Keep::Nothing => Kept::Nothing,
             Keep::Forces => {
                 self.history.iter_mut().for_each(|history| history.begin_forces());
-                Kept::Forces(self.particles.force.before(&self.ids), self.bounds)
+                Kept::Forces(self.particles.force.acting().clone(), self.bounds)
             }
             Keep::Everything => Kept::Everything(Box::new(self.clone())),
         };
@@ -141,7 +141,7 @@ impl<R: Real> World<R> {
             Kept::Nothing => {}
             Kept::Forces(force, bounds) => {
                 let len = self.particles.len();
-                self.particles.force.go_back(force, &self.ids, len);
+                self.particles.force.go_back(force);
                 self.bounds = bounds;
                 self.history.iter_mut().for_each(|history| history.take_forces_back(len));
             }

@@ -47,7 +47,7 @@ impl Bounds {
     pub(super) fn of<R: Real>(particles: &Particles<R>, gravity: [R; 3]) -> Self {
         let mut bounds = Self {
             acceleration: magnitude(gravity),
-            force: particles.force.column().entries().map(|(_, force)| magnitude(force)).fold(0.0, f64::max),
+            force: particles.force.sums().map(magnitude).fold(0.0, f64::max),
             oldest: particles.base_time.oldest(),
             ..Self::default()
         };

@@ -125,11 +125,10 @@ impl<R: Real> World<R> {
         check_vectors(force, Field::Force, rows.len())?;
         let newtons = |force: R::Vec3| force.into().map(positive_zero);
         let len = self.particles.len();
-        if let (Selection::All, Column::Uniform(uniform), Column::Uniform(old)) =
-            (ids, force, self.particles.force.column())
+        if let (Selection::All, Column::Uniform(uniform), Some(old)) = (ids, force, self.particles.force.uniform())
             && len > 0
         {
-            let sum = add(*old, newtons(*uniform));
+            let sum = add(old, newtons(*uniform));
             if !sum.iter().all(|x| x.is_finite()) {
                 return Err(self.overflow(rows[0], Quantity::Force, Field::Force, force, 0));
             }
@@ -145,14 +144,13 @@ impl<R: Real> World<R> {
         let before = may_overflow.then(|| self.particles.force.clone());
         let particles = &mut *self.particles;
         for (i, &row) in rows.iter().enumerate() {
-            let sum = add(particles.force.get(row), newtons(force.get(i)));
+            let sum = particles.force.add(row, newtons(force.get(i)), rows.len() - i, len);
             if let Some(before) = &before
                 && !sum.iter().all(|x| x.is_finite())
             {
                 particles.force = before.clone();
                 return Err(self.overflow(row, Quantity::Force, Field::Force, force, i));
             }
-            particles.force.set(row, self.ids.id(row), sum, len);
         }
         self.bounds.force = most;
         Ok(Outcome::Changed { count: rows.len() })

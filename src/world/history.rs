@@ -5,7 +5,6 @@
 
 use std::collections::VecDeque;
 
-use crate::accumulators::Acting;
 use crate::closed_form::Decay;
 use crate::column::Column;
 use crate::command::{Command, Properties, Selection};
@@ -444,17 +443,11 @@ impl<R: Real> World<R> {
         let Some(mut kept) = self.history.take() else { return };
         let history = &mut *kept;
         let (mark, len) = (self.next_mark(history), self.particles.len());
-        let force = &self.particles.force;
-        let forced = |row: &usize| force.get(*row) != zero();
-        let mut note = |row: usize| {
+        for row in self.particles.force.rows(len) {
             history.marks.set(row, mark, len);
             if self.particles.is_forced(row) {
                 history.rests.set(row, 0, len);
             }
-        };
-        match force.acting() {
-            Acting::Few(ids) => ids.iter().filter_map(|id| self.ids.row(*id)).filter(forced).for_each(&mut note),
-            Acting::Many => (0..len).filter(forced).for_each(&mut note),
         }
         if self.settings.integrator == Integrator::Exact {
             history.deferred = mark;

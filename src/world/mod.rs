@@ -434,7 +434,9 @@ impl<R: Real> World<R> {
     /// let mut states = States::default();
     /// world.read(ParticleId(1), 100, &mut states);
     /// assert_eq!(states.id, [ParticleId(1), ParticleId(2)]);
-    /// assert_eq!(states.position[0], [0.0, 0.0, 0.0]);
+    /// assert_eq!(states.position, [[0.0, 0.0, 0.0]; 2]);
+    /// world.read(ParticleId(0), 1, &mut states);
+    /// assert_eq!((states.id.as_slice(), states.velocity.len()), ([ParticleId(0)].as_slice(), 1));
     /// # Ok::<(), pointmass::Error>(())
     /// ```
     pub fn read(&self, first: ParticleId, limit: usize, into: &mut States<R>) {

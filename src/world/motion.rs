@@ -108,7 +108,6 @@ impl<R: Real> Carrier<R> {
         if let Column::Uniform(damping) = particles.damping
             && !still
         {
-            forms.resize(times.len(), ClosedForm::default());
             closed_forms(world.level, Among::Uniform(Decay::of(damping)), &times, &mut forms);
         }
         let uniform_acceleration =
@@ -221,7 +220,6 @@ impl<R: Real> Carrier<R> {
             Span::To(clock) => rows.iter().map(|row| (clock - world.particles.base_time.get(row)).hi).collect(),
             Span::By(time) => vec![time; rows.len()],
         };
-        self.own_forms.resize(rows.len(), ClosedForm::default());
         match &world.particles.damping {
             Column::Uniform(damping) => {
                 let decay = Decay::of(*damping);

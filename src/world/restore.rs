@@ -440,7 +440,7 @@ impl<S: Read> Reader<S> {
             }
             Ok(())
         })?;
-        Ok(Accumulators::few(&few, ids, len))
+        Ok(Accumulators::few(few.into_iter().filter_map(|(id, sum)| Some((ids.row(id)?, sum)))))
     }
 
     /// The checksum, and nothing after it.

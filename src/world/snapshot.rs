@@ -53,7 +53,6 @@ use crate::error::Error;
 use crate::forces::{Drag, Gravitation};
 use crate::ids::Ids;
 use crate::integrator::{DampingLaw, Integrator};
-use crate::particles::zero;
 use crate::real::{Precision, Real};
 use crate::world::World;
 
@@ -285,14 +284,16 @@ impl<W: Write> Writer<W> {
             Acting::Few(few) => {
                 self.word(0)?;
                 self.word(few.len() as u64)?;
-                few.iter().try_for_each(|id| {
+                let mut few: Vec<_> = few.within(0..ids.len()).map(|(row, sum)| (ids.id(row), sum)).collect();
+                few.sort_unstable_by_key(|(id, _)| *id);
+                few.into_iter().try_for_each(|(id, sum)| {
                     self.word(id.0)?;
-                    self.reals(&ids.row(*id).map_or(zero::<R>(), |row| forces.get(row)))
+                    self.reals(&sum)
                 })
             }
-            Acting::Many => {
+            Acting::Many(column) => {
                 self.word(1)?;
-                self.column(forces.column(), Self::vectors)
+                self.column(column, Self::vectors)
             }
         }
     }
