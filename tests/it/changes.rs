@@ -53,8 +53,11 @@ fn seen<R: Number>(state: &ParticleState<R>) -> Seen {
     bits.extend(state.gravitational_mass.map_or([0, 0], |mass| [1, mass.bits()]));
     let minus = R::nearest(-0.0).bits();
     let is_driven = [v, a, f].concat().iter().any(|x| *x != 0) || p.contains(&minus);
-    let rests = state.inverse_mass == R::ZERO && [a, f, v.map(|x| if x == minus { 0 } else { x })] == [[0; 3]; 3];
-    Seen { bits, is_driven: is_driven && !rests, rate: -Into::<f64>::into(state.damping).ln() }
+    let rate = -Into::<f64>::into(state.damping).ln();
+    // What came to rest by its damping may still lose the sign of its zeros.
+    let speed = v.map(|x| if x == minus && rate == 0.0 { 0 } else { x });
+    let rests = state.inverse_mass == R::ZERO && [a, f, speed] == [[0; 3]; 3];
+    Seen { bits, is_driven: is_driven && !rests, rate }
 }
 
 impl<R: Number> Model<R> {
