@@ -106,7 +106,11 @@ impl BaseTimes {
     }
 
     pub(crate) fn set_all(&mut self, time: DoubleDouble) {
-        *self = Self::all_at(time);
+        if matches!(self.of, Column::Uniform(_)) {
+            self.distinct[0].time = time;
+        } else {
+            *self = Self::all_at(time);
+        }
     }
 
     /// Sets one of `len` base times.

@@ -58,13 +58,67 @@ pub(crate) enum Damping<'a, R> {
     Mixed { factor: &'a [R], rest: &'a [R] },
 }
 
+impl<'a, R: Real> Drive<'a, R> {
+    /// The same with other lists in place of its own.
+    fn map_lists(self, mut to: impl FnMut(&'a [R]) -> &'a [R]) -> Self {
+        let acceleration = match self.acceleration {
+            Acceleration::Each(a) => Acceleration::Each(to(a)),
+            uniform @ Acceleration::Uniform(_) => uniform,
+        };
+        let damping = match self.damping {
+            Damping::Each(factor) => Damping::Each(to(factor)),
+            Damping::Mixed { factor, rest } => Damping::Mixed { factor: to(factor), rest: to(rest) },
+            uniform @ (Damping::None | Damping::Uniform(_)) => uniform,
+        };
+        Self { acceleration, damping }
+    }
+}
+
 /// A velocity that decays into denormals would cost sixty times a normal step, and comparing it at every step would
 /// halve the speed: every so many steps and at the end is enough.
 pub(crate) const STEPS_BETWEEN_RESTS: u64 = 64;
 
-/// Takes `steps` steps with all components of a block.
+/// Components that fill three registers of any instruction set, or a multiple of that: x, y and z then begin anew.
+const GROUP: usize = 48;
+
+/// Takes `steps` steps with all components of a block. Those that are left of whole groups are moved in a group as well,
+/// with some of those before them: one number at a time takes as long as a register of them.
 pub(crate) fn advance<R: Real>(level: Level, step: Step<R>, drive: Drive<'_, R>, steps: u64, p: &mut [R], v: &mut [R]) {
     assert!(p.len() == v.len());
+    let (Some(last_p), Some(last_v)) = (p.last_chunk(), v.last_chunk()) else {
+        return advance_few(level, step, drive, steps, p, v);
+    };
+    let (len, left) = (p.len(), p.len() % GROUP);
+    if left == 0 {
+        return advance_groups(level, step, drive, steps, p, v);
+    }
+    let (mut last_p, mut last_v): ([R; GROUP], [R; GROUP]) = (*last_p, *last_v);
+    advance_groups(level, step, drive.map_lists(|list| &list[len - GROUP..]), steps, &mut last_p, &mut last_v);
+    let (p, end_p) = p.split_at_mut(len - left);
+    let (v, end_v) = v.split_at_mut(len - left);
+    advance_groups(level, step, drive.map_lists(|list| &list[..len - left]), steps, p, v);
+    end_p.copy_from_slice(&last_p[GROUP - left..]);
+    end_v.copy_from_slice(&last_v[GROUP - left..]);
+}
+
+/// The same with less than a group, beside zeros.
+fn advance_few<R: Real>(level: Level, step: Step<R>, drive: Drive<'_, R>, steps: u64, p: &mut [R], v: &mut [R]) {
+    let len = p.len();
+    let (mut own_p, mut own_v, mut rooms) = ([R::ZERO; GROUP], [R::ZERO; GROUP], [[R::ZERO; GROUP]; 3]);
+    own_p[..len].copy_from_slice(p);
+    own_v[..len].copy_from_slice(v);
+    let mut rooms = rooms.iter_mut();
+    let drive = drive.map_lists(|list| {
+        let room = rooms.next().expect("one for each list");
+        room[..len].copy_from_slice(list);
+        room
+    });
+    advance_groups(level, step, drive, steps, &mut own_p, &mut own_v);
+    p.copy_from_slice(&own_p[..len]);
+    v.copy_from_slice(&own_v[..len]);
+}
+
+fn advance_groups<R: Real>(level: Level, step: Step<R>, drive: Drive<'_, R>, steps: u64, p: &mut [R], v: &mut [R]) {
     match step.integrator {
         Integrator::NewtonEuler => with_acceleration::<R, NewtonEuler>(level, step.h, drive, steps, p, v),
         Integrator::NewtonEulerQuadratic => with_acceleration::<R, Quadratic>(level, step.h, drive, steps, p, v),
@@ -136,7 +190,6 @@ trait Source<R: Real>: Copy {
     fn hold<S: Simd>(&self, simd: S) -> Self::Held<S>;
     /// The `k`th register of the group that begins at the component `at`, a multiple of three registers.
     fn register<S: Simd>(&self, simd: S, held: &Self::Held<S>, at: usize, k: usize) -> R::Lanes<S>;
-    fn one(&self, index: usize) -> R;
 }
 
 /// What stays in registers of acceleration, D and rest.
@@ -169,10 +222,6 @@ impl<R: Real> Source<R> for Same<R> {
     fn register<S: Simd>(&self, _: S, held: &Self::Held<S>, _: usize, _: usize) -> R::Lanes<S> {
         *held
     }
-    #[inline(always)]
-    fn one(&self, _: usize) -> R {
-        self.0
-    }
 }
 
 impl<R: Real> Source<R> for Vector<R> {
@@ -187,10 +236,6 @@ impl<R: Real> Source<R> for Vector<R> {
     fn register<S: Simd>(&self, _: S, held: &Self::Held<S>, _: usize, k: usize) -> R::Lanes<S> {
         held[k % 3]
     }
-    #[inline(always)]
-    fn one(&self, index: usize) -> R {
-        self.0[index % 3]
-    }
 }
 
 impl<R: Real> Source<R> for Each<'_, R> {
@@ -201,10 +246,6 @@ impl<R: Real> Source<R> for Each<'_, R> {
     fn register<S: Simd>(&self, simd: S, (): &Self::Held<S>, at: usize, k: usize) -> R::Lanes<S> {
         let lanes = R::Lanes::<S>::LEN;
         R::Lanes::<S>::from_slice(simd, &self.0[at + k * lanes..at + (k + 1) * lanes])
-    }
-    #[inline(always)]
-    fn one(&self, index: usize) -> R {
-        self.0[index]
     }
 }
 
@@ -266,7 +307,7 @@ fn compiled<R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, const 
     dispatch!(level, simd => block::<_, R, K, _, _, _, _>(simd, h, a, d, steps, p, v));
 }
 
-/// Groups of six registers, which hide the latency of the arithmetic; then of three; then one number at a time.
+/// Groups of six registers, which hide the latency of the arithmetic; then of three.
 #[inline(always)]
 fn block<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, const DAMPS: bool>(
     simd: S,
@@ -287,9 +328,6 @@ fn block<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, 
     while at + 3 * lanes <= p.len() {
         group::<S, R, K, _, _, _, _, 3>(simd, h, a, d, &held, steps, at, p, v);
         at += 3 * lanes;
-    }
-    for index in at..p.len() {
-        single::<R, K, _, _, _, _>(h, a, d, steps, index, p, v);
     }
 }
 
@@ -343,33 +381,4 @@ fn group<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, 
         ps[k].store_slice(&mut p[k * lanes..(k + 1) * lanes]);
         vs[k].store_slice(&mut v[k * lanes..(k + 1) * lanes]);
     }
-}
-
-#[inline(always)]
-fn single<R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, const DAMPS: bool>(
-    h: R,
-    a: A,
-    d: Damper<F, T, DAMPS>,
-    steps: u64,
-    index: usize,
-    p: &mut [R],
-    v: &mut [R],
-) {
-    let (mut x, mut u) = (p[index], v[index]);
-    let (kick, burst) = (a.one(index) * h, a.one(index) * (h * h * R::HALF));
-    let factor = d.factor.one(index);
-    let mut left = steps;
-    while left > 0 {
-        let some = left.min(STEPS_BETWEEN_RESTS);
-        for _ in 0..some {
-            let kicked = if DAMPS { (u + kick) * factor } else { u + kick };
-            x = K::drift(x, u, kicked, h, burst);
-            u = kicked;
-        }
-        if DAMPS {
-            u = u.at_rest_below(d.rest.one(index));
-        }
-        left -= some;
-    }
-    (p[index], v[index]) = (x, u);
 }

@@ -174,9 +174,10 @@ impl<R: Real> World<R> {
         let integrated = if exact {
             done.integrated
         } else {
-            self.particles.note_rest_after_steps();
-            self.particles.base_time.set_all(clock);
-            self.particles.len() - resting
+            let particles = &mut *self.particles;
+            particles.note_rest_after_steps();
+            particles.base_time.set_all(clock);
+            particles.len() - resting
         };
         let error = match before {
             Some(before) => Some(self.error_since(before, done.duration)),
@@ -277,8 +278,9 @@ impl<R: Real> World<R> {
 
     /// Moves position and velocity in rounds, between which the advance can be cancelled.
     fn run_steps(&mut self, step: Step<R>, steps: u64, cancelled: &AtomicBool) -> Result<(), Error> {
-        let mut position = std::mem::take(&mut self.particles.position);
-        let mut velocity = std::mem::take(&mut self.particles.velocity);
+        let particles = &mut *self.particles;
+        let (mut position, mut velocity) =
+            (std::mem::take(&mut particles.position), std::mem::take(&mut particles.velocity));
         let rows = usize::try_from(ROUND_WORK / steps.clamp(1, ROUND_STEPS)).unwrap_or(usize::MAX);
         let mut run = || {
             for (round, (p, v)) in position.chunks_mut(rows).zip(velocity.chunks_mut(rows)).enumerate() {
@@ -296,7 +298,8 @@ impl<R: Real> World<R> {
             Ok(())
         };
         let result = run();
-        (self.particles.position, self.particles.velocity) = (position, velocity);
+        let particles = &mut *self.particles;
+        (particles.position, particles.velocity) = (position, velocity);
         result
     }
 
