@@ -1,10 +1,7 @@
 //! Threads that share the particles of a large advance.
 
 #[cfg(feature = "threads")]
-use std::sync::Arc;
-
-#[cfg(feature = "threads")]
-use rayon::prelude::*;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Threads for the large advances of any number of worlds, see [`World::set_threads`](crate::World::set_threads).
 ///
@@ -22,10 +19,13 @@ pub struct Threads {
     pool: Option<Arc<rayon::ThreadPool>>,
 }
 
-/// Particles that one thread takes at a time. Fixed, and each particle is moved on its own: how many threads there are
-/// decides nothing about the result.
+/// Particle-steps that a thread takes at a time, in whole blocks of particles: long runs through memory, and as short a wait
+/// for the last one. Each particle is moved on its own, so that how many threads there are decides nothing about the result.
 #[cfg(feature = "threads")]
-const CHUNK: usize = 1024;
+const CHUNK_WORK: u64 = 8192;
+/// The least particles of them.
+#[cfg(feature = "threads")]
+const CHUNK_MIN: usize = 256;
 
 /// Particle-steps from which a second thread pays: some tens of microseconds, several times what waking it costs.
 #[cfg(feature = "threads")]
@@ -38,7 +38,7 @@ const ROWS_TO_SHARE: usize = 128;
 const ROUND_INTERACTIONS: u64 = 1 << 27;
 
 impl Threads {
-    /// Starts `count` threads; one thread is none besides the one that asks.
+    /// `count` threads: whoever asks for an advance is one of those that carry it out, and the others are started here.
     ///
     /// # Errors
     /// What the operating system says when it cannot start them.
@@ -48,7 +48,7 @@ impl Threads {
             return Ok(Self::default());
         }
         let name = |index| format!("pointmass-{index}");
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(count).thread_name(name).build();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(count - 1).thread_name(name).build();
         Ok(Self { pool: Some(Arc::new(pool.map_err(std::io::Error::other)?)) })
     }
 
@@ -64,8 +64,9 @@ impl Threads {
         if let Some(pool) = &self.pool
             && (p.len() as u64).saturating_mul(steps) >= WORK_TO_SHARE
         {
-            let chunk = |(chunk, (p, v)): (usize, (&mut [T], &mut [T]))| advance(chunk * CHUNK, p, v);
-            return pool.install(|| p.par_chunks_mut(CHUNK).zip(v.par_chunks_mut(CHUNK)).enumerate().for_each(chunk));
+            let rows = usize::try_from(CHUNK_WORK / steps).unwrap_or(0).max(1).next_multiple_of(CHUNK_MIN);
+            let chunks = p.chunks_mut(rows).zip(v.chunks_mut(rows)).enumerate();
+            return share(pool, chunks, |(chunk, (p, v))| advance(chunk * rows, p, v));
         }
         #[cfg(not(feature = "threads"))]
         let _ = steps;
@@ -100,13 +101,30 @@ impl Threads {
         if let Some(pool) = &self.pool
             && (columns[0].len() as u64).saturating_mul(work) >= WORK_TO_SHARE
         {
-            let [x, y, z] = columns.map(|column| column.par_chunks_mut(ROWS_TO_SHARE));
-            let rows = x.zip(y).zip(z).enumerate();
-            let chunk = |(chunk, ((x, y), z))| compute(first + chunk * ROWS_TO_SHARE, [x, y, z]);
-            return pool.install(|| rows.for_each(chunk));
+            let [x, y, z] = columns.map(|column| column.chunks_mut(ROWS_TO_SHARE));
+            let chunks = x.zip(y).zip(z).enumerate();
+            return share(pool, chunks, |(chunk, ((x, y), z))| compute(first + chunk * ROWS_TO_SHARE, [x, y, z]));
         }
         #[cfg(not(feature = "threads"))]
         let _ = work;
         compute(first, columns);
     }
+}
+
+/// Works on all parts: this thread begins with the first one, the others with the last one. That this thread takes part
+/// hides how long it takes to wake the others, and that they come from the other end keeps them out of its memory.
+#[cfg(feature = "threads")]
+fn share<Parts>(pool: &rayon::ThreadPool, parts: Parts, work: impl Fn(Parts::Item) + Sync)
+where
+    Parts: DoubleEndedIterator<Item: Send> + Send,
+{
+    let parts = Mutex::new(parts);
+    let take =
+        |end: fn(&mut Parts) -> Option<Parts::Item>| end(&mut parts.lock().unwrap_or_else(PoisonError::into_inner));
+    pool.in_place_scope(|scope| {
+        for _ in 0..pool.current_num_threads() {
+            scope.spawn(|_| std::iter::from_fn(|| take(Parts::next_back)).for_each(&work));
+        }
+        std::iter::from_fn(|| take(Parts::next)).for_each(&work);
+    });
 }

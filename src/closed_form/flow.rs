@@ -2,6 +2,8 @@
 
 #![expect(clippy::inline_always, reason = "a call that is not inlined leaves the instruction set of its caller")]
 
+use std::slice;
+
 use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, dispatch, f64x4};
 
 use super::lanes::LANES_MAX;
@@ -23,17 +25,35 @@ impl Same {
         Self { form, acceleration }
     }
 
-    /// Takes positions and velocities along the closed form.
-    pub(crate) fn carry<R: Real>(&self, level: Level, p: &mut [[R; 3]], v: &mut [[R; 3]]) {
-        dispatch!(level, simd => carry(simd, &Held::new(simd, self), p.as_flattened_mut(), v.as_flattened_mut()));
+    /// Takes positions and velocities along the closed form, and writes where they are then.
+    pub(crate) fn carry<R: Real>(&self, level: Level, from: Motion<'_, R>, (to_p, to_v): MotionMut<'_, R>) {
+        assert!(from.0.len() == to_p.len() && from.1.len() == to_v.len() && to_p.len() == to_v.len());
+        if self.form.rest < 0.0 {
+            to_p.copy_from_slice(from.0);
+            to_v.copy_from_slice(from.1);
+            return;
+        }
+        let from = (from.0.as_flattened(), from.1.as_flattened());
+        let to = (to_p.as_flattened_mut(), to_v.as_flattened_mut());
+        dispatch!(level, simd => {
+            let held = Held::new(simd, self);
+            if self.form.rest > 0.0 {
+                carry::<_, _, true>(simd, &held, from, to);
+            } else {
+                carry::<_, _, false>(simd, &held, from, to);
+            }
+        });
     }
 }
 
 /// The registers of `Same`.
 struct Held<S: Simd> {
-    form: [S::f64s; 4],
-    /// x, y and z fill three registers before they begin anew.
-    acceleration: [S::f64s; 3],
+    kept: S::f64s,
+    phi: S::f64s,
+    rest: S::f64s,
+    /// A φ and A ψ: x, y and z fill three registers before they begin anew.
+    kick: [S::f64s; 3],
+    drift: [S::f64s; 3],
 }
 
 impl<S: Simd> Held<S> {
@@ -43,22 +63,23 @@ impl<S: Simd> Held<S> {
         let splat = |value| S::f64s::splat(simd, value);
         let lanes = S::f64s::LEN;
         let register = |k| S::f64s::from_fn(simd, |lane| same.acceleration[(k * lanes + lane) % 3]);
+        let a = [register(0), register(1), register(2)];
+        let (phi, psi) = (splat(phi), splat(psi));
         Self {
-            form: [splat(kept), splat(phi), splat(psi), splat(rest)],
-            acceleration: [register(0), register(1), register(2)],
+            kept: splat(kept),
+            phi,
+            rest: splat(rest),
+            kick: [a[0] * phi, a[1] * phi, a[2] * phi],
+            drift: [a[0] * psi, a[1] * psi, a[2] * psi],
         }
-    }
-
-    /// E, φ, ψ, `rest` and A of the `k`th register.
-    #[inline(always)]
-    fn terms(&self, k: usize) -> [S::f64s; 5] {
-        let [kept, phi, psi, rest] = self.form;
-        [kept, phi, psi, rest, self.acceleration[k % 3]]
     }
 }
 
 /// Positions and velocities of some particles.
 pub(crate) type Motion<'a, R> = (&'a [[R; 3]], &'a [[R; 3]]);
+
+/// Room for as many.
+pub(crate) type MotionMut<'a, R> = (&'a mut [[R; 3]], &'a mut [[R; 3]]);
 
 /// Takes each of some particles along the one of the forms that it names, and writes where it is then.
 pub(crate) fn carry_each<R: Real>(
@@ -66,7 +87,7 @@ pub(crate) fn carry_each<R: Real>(
     forms: (&[ClosedForm], &[u32]),
     accelerations: Among<'_, [f64; 3]>,
     from: Motion<'_, R>,
-    (to_p, to_v): (&mut [[R; 3]], &mut [[R; 3]]),
+    (to_p, to_v): MotionMut<'_, R>,
 ) {
     let from = (from.0.as_flattened(), from.1.as_flattened());
     let to = (to_p.as_flattened_mut(), to_v.as_flattened_mut());
@@ -126,33 +147,56 @@ fn carry_four<S: Simd, R: Real>(
     carry_register(simd, [kept, phi, psi, rest, a], R::load_four(simd, p), R::load_four(simd, v))
 }
 
+/// `RESTS`: some velocities may come to rest.
 #[inline(always)]
-fn carry<S: Simd, R: Real>(simd: S, held: &Held<S>, p: &mut [R], v: &mut [R]) {
+fn carry<S: Simd, R: Real, const RESTS: bool>(
+    simd: S,
+    held: &Held<S>,
+    (from_p, from_v): (&[R], &[R]),
+    (to_p, to_v): (&mut [R], &mut [R]),
+) {
     let len = TOGETHER * S::f64s::LEN;
-    let (mut p, mut v) = (p.chunks_exact_mut(len), v.chunks_exact_mut(len));
-    for (p, v) in p.by_ref().zip(v.by_ref()) {
-        carry_together(simd, held, p, v);
-    }
-    let (p, v) = (p.into_remainder(), v.into_remainder());
-    if !p.is_empty() {
-        let (mut own_p, mut own_v) = ([R::ZERO; TOGETHER * LANES_MAX], [R::ZERO; TOGETHER * LANES_MAX]);
-        own_p[..p.len()].copy_from_slice(p);
-        own_v[..v.len()].copy_from_slice(v);
-        carry_together(simd, held, &mut own_p[..len], &mut own_v[..len]);
-        p.copy_from_slice(&own_p[..p.len()]);
-        v.copy_from_slice(&own_v[..v.len()]);
+    let from = from_p.chunks(len).zip(from_v.chunks(len));
+    for ((p, v), (to_p, to_v)) in from.zip(to_p.chunks_mut(len).zip(to_v.chunks_mut(len))) {
+        if p.len() == len {
+            carry_together::<_, _, RESTS>(simd, held, (p, v), (to_p, to_v));
+        } else {
+            let [mut own_p, mut own_v, mut end_p, mut end_v] = [[R::ZERO; TOGETHER * LANES_MAX]; 4];
+            own_p[..p.len()].copy_from_slice(p);
+            own_v[..v.len()].copy_from_slice(v);
+            let (own, end) = ((&own_p[..len], &own_v[..len]), (&mut end_p[..len], &mut end_v[..len]));
+            carry_together::<_, _, RESTS>(simd, held, own, end);
+            to_p.copy_from_slice(&end_p[..p.len()]);
+            to_v.copy_from_slice(&end_v[..v.len()]);
+        }
     }
 }
 
 #[inline(always)]
-fn carry_together<S: Simd, R: Real>(simd: S, held: &Held<S>, p: &mut [R], v: &mut [R]) {
+fn carry_together<S: Simd, R: Real, const RESTS: bool>(
+    simd: S,
+    held: &Held<S>,
+    (from_p, from_v): (&[R], &[R]),
+    (to_p, to_v): (&mut [R], &mut [R]),
+) {
     let pair = 2 * S::f64s::LEN;
-    for (k, (p, v)) in p.chunks_exact_mut(pair).zip(v.chunks_exact_mut(pair)).enumerate() {
-        let (places, speeds) = (R::load(simd, p), R::load(simd, v));
-        let first = carry_register(simd, held.terms(2 * k), places.0, speeds.0);
-        let second = carry_register(simd, held.terms(2 * k + 1), places.1, speeds.1);
-        R::store::<S>((first.0, second.0), p);
-        R::store::<S>((first.1, second.1), v);
+    let zero = S::f64s::splat(simd, 0.0);
+    let (mut p, mut v) = ([zero; TOGETHER], [zero; TOGETHER]);
+    for k in 0..TOGETHER / 2 {
+        (p[2 * k], p[2 * k + 1]) = R::load(simd, &from_p[k * pair..(k + 1) * pair]);
+        (v[2 * k], v[2 * k + 1]) = R::load(simd, &from_v[k * pair..(k + 1) * pair]);
+    }
+    for k in 0..TOGETHER {
+        p[k] = p[k] + (v[k] * held.phi + held.drift[k % 3]);
+        v[k] = v[k] * held.kept + held.kick[k % 3];
+        if RESTS {
+            let is_slow = v[k].abs().simd_lt(held.rest);
+            v[k] = is_slow.select(zero.copysign(v[k]), v[k]);
+        }
+    }
+    for k in 0..TOGETHER / 2 {
+        R::store::<S>((p[2 * k], p[2 * k + 1]), &mut to_p[k * pair..(k + 1) * pair]);
+        R::store::<S>((v[2 * k], v[2 * k + 1]), &mut to_v[k * pair..(k + 1) * pair]);
     }
 }
 
@@ -172,6 +216,7 @@ fn carry_register<S: Simd, V: SimdFloat<S, Element = f64>>(simd: S, terms: [V; 5
 impl ClosedForm {
     /// Takes one particle along.
     pub(crate) fn carry<R: Real>(&self, level: Level, acceleration: [f64; 3], p: &mut [R; 3], v: &mut [R; 3]) {
-        Same::new(*self, acceleration).carry(level, std::slice::from_mut(p), std::slice::from_mut(v));
+        let (from_p, from_v) = ([*p], [*v]);
+        Same::new(*self, acceleration).carry(level, (&from_p, &from_v), (slice::from_mut(p), slice::from_mut(v)));
     }
 }

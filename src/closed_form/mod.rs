@@ -26,7 +26,7 @@ use fearless_simd::{Level, Simd, dispatch};
 
 use crate::double_double::DoubleDouble;
 use crate::real::Real;
-pub(crate) use flow::{Motion, Same, carry_each};
+pub(crate) use flow::{Motion, MotionMut, Same, carry_each};
 use lanes::{LEN_MAX, Lanes, Registers};
 
 /// A value for each of some particles: the same one, or one for each.

@@ -104,12 +104,13 @@ pub(crate) fn advance<R: Real>(level: Level, step: Step<R>, drive: Drive<'_, R>,
 /// The same with less than a group, beside zeros.
 fn advance_few<R: Real>(level: Level, step: Step<R>, drive: Drive<'_, R>, steps: u64, p: &mut [R], v: &mut [R]) {
     let len = p.len();
-    let (mut own_p, mut own_v, mut rooms) = ([R::ZERO; GROUP], [R::ZERO; GROUP], [[R::ZERO; GROUP]; 3]);
+    let (mut own_p, mut own_v) = ([R::ZERO; GROUP], [R::ZERO; GROUP]);
     own_p[..len].copy_from_slice(p);
     own_v[..len].copy_from_slice(v);
+    let mut rooms = [None; 3];
     let mut rooms = rooms.iter_mut();
     let drive = drive.map_lists(|list| {
-        let room = rooms.next().expect("one for each list");
+        let room = rooms.next().expect("one for each list").insert([R::ZERO; GROUP]);
         room[..len].copy_from_slice(list);
         room
     });

@@ -93,7 +93,7 @@ pub struct Config {
         default_value = "127.0.0.1:8080"
     )]
     pub listen: Vec<String>,
-    /// Threads that share large advances. Twice as many long advances run at once; further ones wait.
+    /// Threads that share a large advance. Twice as many long advances run at once; further ones wait.
     #[arg(long, value_name = "N", env = "POINTMASS_THREADS", default_value_t = cores(), value_parser = threads)]
     pub threads: usize,
     /// Threads that read requests and write answers.

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::closed_form::{Among, ClosedForm, Decay, Motion, Same, carry_each, closed_forms, decays};
+use crate::closed_form::{Among, ClosedForm, Decay, Motion, MotionMut, Same, carry_each, closed_forms, decays};
 use crate::column::Column;
 use crate::double_double::DoubleDouble;
 use crate::particles::zero;
@@ -87,7 +87,7 @@ pub(super) struct Carrier<R: Real> {
     /// What carries it otherwise.
     own_forms: Vec<ClosedForm>,
     own_accelerations: Vec<[f64; 3]>,
-    /// Where a block starts that is not carried from the columns.
+    /// Where a block starts that is carried in place.
     start: (Vec<[R; 3]>, Vec<[R; 3]>),
 }
 
@@ -137,13 +137,16 @@ impl<R: Real> Carrier<R> {
         p.resize(rows.len(), zero());
         v.resize(rows.len(), zero());
         for (rows, (p, v)) in rows.clone().blocks().zip(p.chunks_mut(BLOCK).zip(v.chunks_mut(BLOCK))) {
-            if let (Rows::Range(range), None, false) = (&rows, &self.same, self.still) {
-                let from = (&positions[range.clone()], &velocities[range.clone()]);
-                self.carry_each(world, &rows, from, (p, v));
-            } else {
-                copy_rows(positions, &rows, p);
-                copy_rows(velocities, &rows, v);
-                self.carry(world, &rows, p, v);
+            match &rows {
+                Rows::Range(range) if !self.still => {
+                    let from = (&positions[range.clone()], &velocities[range.clone()]);
+                    self.carry_from(world, &rows, from, (p, v));
+                }
+                Rows::Range(_) | Rows::List(_) => {
+                    copy_rows(positions, &rows, p);
+                    copy_rows(velocities, &rows, v);
+                    self.carry(world, &rows, p, v);
+                }
             }
         }
     }
@@ -153,25 +156,20 @@ impl<R: Real> Carrier<R> {
         if self.still {
             return;
         }
-        if let Some(same) = &self.same {
-            return same.carry(world.level, p, v);
-        }
         let mut start = std::mem::take(&mut self.start);
         start.0.clear();
         start.0.extend_from_slice(p);
         start.1.clear();
         start.1.extend_from_slice(v);
-        self.carry_each(world, rows, (&start.0, &start.1), (p, v));
+        self.carry_from(world, rows, (&start.0, &start.1), (p, v));
         self.start = start;
     }
 
-    fn carry_each(
-        &mut self,
-        world: &World<R>,
-        rows: &Rows<'_>,
-        from: Motion<'_, R>,
-        to: (&mut [[R; 3]], &mut [[R; 3]]),
-    ) {
+    /// The same from elsewhere; not for those that nothing carries.
+    fn carry_from(&mut self, world: &World<R>, rows: &Rows<'_>, from: Motion<'_, R>, to: MotionMut<'_, R>) {
+        if let Some(same) = &self.same {
+            return same.carry(world.level, from, to);
+        }
         let indices = world.particles.base_time.indices().filter(|_| matches!(self.span, Span::To(_)));
         let forms = match (rows, indices) {
             _ if self.forms.is_empty() || world.particles.resting_count() > 0 => {
