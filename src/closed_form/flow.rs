@@ -28,7 +28,7 @@ impl Same {
     /// Takes positions and velocities along the closed form, and writes where they are then.
     pub(crate) fn carry<R: Real>(&self, level: Level, from: Motion<'_, R>, (to_p, to_v): MotionMut<'_, R>) {
         assert!(from.0.len() == to_p.len() && from.1.len() == to_v.len() && to_p.len() == to_v.len());
-        if self.form.rest < 0.0 {
+        if self.form.is_still() {
             to_p.copy_from_slice(from.0);
             to_v.copy_from_slice(from.1);
             return;
@@ -133,6 +133,8 @@ fn each<'a, S: Simd, R: Real>(
     }
 }
 
+/// Computed in double, before it is rounded once. A damped velocity that has become too small to matter is a zero of its
+/// own sign.
 #[inline(always)]
 fn carry_four<S: Simd, R: Real>(
     simd: S,
@@ -141,10 +143,17 @@ fn carry_four<S: Simd, R: Real>(
     p: &[R],
     v: &[R],
 ) -> (f64x4<S>, f64x4<S>) {
-    let ClosedForm { kept, phi, psi, rest } = form;
-    let [kept, phi, psi, rest] = [kept, phi, psi, rest].map(|of| f64x4::splat(simd, of));
+    let (p, v) = (R::load_four(simd, p), R::load_four(simd, v));
+    // Few are, and a branch is cheaper than a selection for each.
+    if form.is_still() {
+        return (p, v);
+    }
+    let [kept, phi, psi, rest] = [form.kept, form.phi, form.psi, form.rest].map(|of| f64x4::splat(simd, of));
     let a = f64x4::from_slice(simd, &[x, y, z, 0.0]);
-    carry_register(simd, [kept, phi, psi, rest, a], R::load_four(simd, p), R::load_four(simd, v))
+    let speed = v * kept + a * phi;
+    let is_slow = speed.abs().simd_lt(rest);
+    let speed = is_slow.select(f64x4::splat(simd, 0.0).copysign(speed), speed);
+    (p + (v * phi + a * psi), speed)
 }
 
 /// `RESTS`: some velocities may come to rest.
@@ -198,19 +207,6 @@ fn carry_together<S: Simd, R: Real, const RESTS: bool>(
         R::store::<S>((p[2 * k], p[2 * k + 1]), &mut to_p[k * pair..(k + 1) * pair]);
         R::store::<S>((v[2 * k], v[2 * k + 1]), &mut to_v[k * pair..(k + 1) * pair]);
     }
-}
-
-/// Computed in double, before it is rounded once. A damped velocity that has become too small to matter is a zero of its
-/// own sign. The terms are E, φ, ψ, `rest` and A.
-#[inline(always)]
-fn carry_register<S: Simd, V: SimdFloat<S, Element = f64>>(simd: S, terms: [V; 5], p: V, v: V) -> (V, V) {
-    let [kept, phi, psi, rest, a] = terms;
-    let zero = V::splat(simd, 0.0);
-    let speed = v * kept + a * phi;
-    let is_slow = speed.abs().simd_lt(rest);
-    let is_still = rest.simd_lt(zero);
-    let speed = is_slow.select(zero.copysign(speed), speed);
-    (is_still.select(p, p + (v * phi + a * psi)), is_still.select(v, speed))
 }
 
 impl ClosedForm {

@@ -52,6 +52,11 @@ pub(crate) struct ClosedForm {
 impl ClosedForm {
     /// Keeps every bit, also the sign of a zero.
     pub(crate) const STILL: Self = Self { kept: 1.0, phi: 0.0, psi: 0.0, rest: -1.0 };
+
+    #[inline(always)]
+    fn is_still(&self) -> bool {
+        self.rest.is_sign_negative()
+    }
 }
 
 /// λ of one damping, 1/λ, and the magnitude below which velocities come to rest in m/s.
