@@ -128,3 +128,32 @@ where
         std::iter::from_fn(|| take(Parts::next)).for_each(&work);
     });
 }
+
+#[cfg(all(test, feature = "threads"))]
+mod tests {
+    use super::Threads;
+
+    /// Each row gets one more than its number, once.
+    fn number(first: usize, columns: &mut [&mut [usize]]) {
+        for column in columns {
+            column.iter_mut().enumerate().for_each(|(row, value)| *value += first + row + 1);
+        }
+    }
+
+    #[test]
+    fn every_row_is_taken_once_and_knows_where_it_is() {
+        for threads in [1, 2, 3].map(|count| Threads::new(count).expect("they start")) {
+            for len in [0, 1, 127, 128, 1000, 5000] {
+                let expected: Vec<usize> = (1..=len).collect();
+                for work in [1, 1 << 10, 1 << 17, 1 << 20, u64::MAX] {
+                    let [mut x, mut y, mut z] = [vec![0; len], vec![0; len], vec![0; len]];
+                    threads.share_columns(work, [&mut x, &mut y, &mut z], |first, mut to| number(first, &mut to));
+                    assert!([&x, &y, &z].into_iter().all(|column| *column == expected), "{len} rows of {work}");
+                    let [mut p, mut v] = [vec![0; len], vec![0; len]];
+                    threads.advance(work, &mut p, &mut v, |first, p, v| number(first, &mut [p, v]));
+                    assert!(p == expected && v == expected, "{len} rows, {work} steps");
+                }
+            }
+        }
+    }
+}
