@@ -81,24 +81,14 @@ pub(crate) const STEPS_BETWEEN_RESTS: u64 = 64;
 /// Components that fill three registers of any instruction set, or a multiple of that: x, y and z then begin anew.
 const GROUP: usize = 48;
 
-/// Takes `steps` steps with all components of a block. Those that are left of whole groups are moved in a group as well,
-/// with some of those before them: one number at a time takes as long as a register of them.
+/// Takes `steps` steps with all components of a block.
 pub(crate) fn advance<R: Real>(level: Level, step: Step<R>, drive: Drive<'_, R>, steps: u64, p: &mut [R], v: &mut [R]) {
     assert!(p.len() == v.len());
-    let (Some(last_p), Some(last_v)) = (p.last_chunk(), v.last_chunk()) else {
-        return advance_few(level, step, drive, steps, p, v);
-    };
-    let (len, left) = (p.len(), p.len() % GROUP);
-    if left == 0 {
-        return advance_groups(level, step, drive, steps, p, v);
+    if p.len() < GROUP {
+        advance_few(level, step, drive, steps, p, v);
+    } else {
+        advance_groups(level, step, drive, steps, p, v);
     }
-    let (mut last_p, mut last_v): ([R; GROUP], [R; GROUP]) = (*last_p, *last_v);
-    advance_groups(level, step, drive.map_lists(|list| &list[len - GROUP..]), steps, &mut last_p, &mut last_v);
-    let (p, end_p) = p.split_at_mut(len - left);
-    let (v, end_v) = v.split_at_mut(len - left);
-    advance_groups(level, step, drive.map_lists(|list| &list[..len - left]), steps, p, v);
-    end_p.copy_from_slice(&last_p[GROUP - left..]);
-    end_v.copy_from_slice(&last_v[GROUP - left..]);
 }
 
 /// The same with less than a group, beside zeros.
@@ -119,6 +109,7 @@ fn advance_few<R: Real>(level: Level, step: Step<R>, drive: Drive<'_, R>, steps:
     v.copy_from_slice(&own_v[..len]);
 }
 
+/// The same with at least a group.
 fn advance_groups<R: Real>(level: Level, step: Step<R>, drive: Drive<'_, R>, steps: u64, p: &mut [R], v: &mut [R]) {
     match step.integrator {
         Integrator::NewtonEuler => with_acceleration::<R, NewtonEuler>(level, step.h, drive, steps, p, v),
@@ -189,8 +180,8 @@ trait Source<R: Real>: Copy {
     /// What stays in registers through the whole block.
     type Held<S: Simd>: Copy;
     fn hold<S: Simd>(&self, simd: S) -> Self::Held<S>;
-    /// The `k`th register of the group that begins at the component `at`, a multiple of three registers.
-    fn register<S: Simd>(&self, simd: S, held: &Self::Held<S>, at: usize, k: usize) -> R::Lanes<S>;
+    /// The registers of the group that begins at the component `at`, the x of a particle.
+    fn registers<S: Simd, const N: usize>(&self, simd: S, held: &Self::Held<S>, at: usize) -> [R::Lanes<S>; N];
 }
 
 /// What stays in registers of acceleration, D and rest.
@@ -220,8 +211,8 @@ impl<R: Real> Source<R> for Same<R> {
         R::Lanes::<S>::splat(simd, self.0)
     }
     #[inline(always)]
-    fn register<S: Simd>(&self, _: S, held: &Self::Held<S>, _: usize, _: usize) -> R::Lanes<S> {
-        *held
+    fn registers<S: Simd, const N: usize>(&self, _: S, held: &Self::Held<S>, _: usize) -> [R::Lanes<S>; N] {
+        [*held; N]
     }
 }
 
@@ -230,12 +221,12 @@ impl<R: Real> Source<R> for Vector<R> {
     type Held<S: Simd> = [R::Lanes<S>; 3];
     #[inline(always)]
     fn hold<S: Simd>(&self, simd: S) -> Self::Held<S> {
-        let lanes = R::Lanes::<S>::LEN;
-        std::array::from_fn(|k| R::Lanes::<S>::from_fn(simd, |lane| self.0[(k * lanes + lane) % 3]))
+        let (lanes, list) = (R::Lanes::<S>::LEN, [self.0; GROUP / 3]);
+        load(simd, &list.as_flattened()[..3 * lanes])
     }
     #[inline(always)]
-    fn register<S: Simd>(&self, _: S, held: &Self::Held<S>, _: usize, k: usize) -> R::Lanes<S> {
-        held[k % 3]
+    fn registers<S: Simd, const N: usize>(&self, _: S, held: &Self::Held<S>, _: usize) -> [R::Lanes<S>; N] {
+        std::array::from_fn(|k| held[k % 3])
     }
 }
 
@@ -244,9 +235,23 @@ impl<R: Real> Source<R> for Each<'_, R> {
     #[inline(always)]
     fn hold<S: Simd>(&self, _: S) -> Self::Held<S> {}
     #[inline(always)]
-    fn register<S: Simd>(&self, simd: S, (): &Self::Held<S>, at: usize, k: usize) -> R::Lanes<S> {
-        let lanes = R::Lanes::<S>::LEN;
-        R::Lanes::<S>::from_slice(simd, &self.0[at + k * lanes..at + (k + 1) * lanes])
+    fn registers<S: Simd, const N: usize>(&self, simd: S, (): &Self::Held<S>, at: usize) -> [R::Lanes<S>; N] {
+        load(simd, &self.0[at..at + N * R::Lanes::<S>::LEN])
+    }
+}
+
+/// `N` registers.
+#[inline(always)]
+fn load<S: Simd, R: Real, const N: usize>(simd: S, from: &[R]) -> [R::Lanes<S>; N] {
+    let lanes = R::Lanes::<S>::LEN;
+    std::array::from_fn(|k| R::Lanes::<S>::from_slice(simd, &from[k * lanes..(k + 1) * lanes]))
+}
+
+/// Writes them where `to` begins.
+#[inline(always)]
+fn store<S: Simd, L: SimdBase<S>, const N: usize>(registers: [L; N], to: &mut [L::Element]) {
+    for (register, to) in registers.iter().zip(to[..N * L::LEN].chunks_exact_mut(L::LEN)) {
+        register.store_slice(to);
     }
 }
 
@@ -308,7 +313,8 @@ fn compiled<R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, const 
     dispatch!(level, simd => block::<_, R, K, _, _, _, _>(simd, h, a, d, steps, p, v));
 }
 
-/// Groups of six registers, which hide the latency of the arithmetic; then of three.
+/// Groups of six registers, which hide the latency of the arithmetic; then of three. What is left then is moved in a group
+/// with some of those before it: one number at a time takes as long as a register of them.
 #[inline(always)]
 fn block<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, const DAMPS: bool>(
     simd: S,
@@ -321,17 +327,29 @@ fn block<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, 
 ) {
     let lanes = R::Lanes::<S>::LEN;
     let held = (a.hold(simd), d.factor.hold(simd), d.rest.hold(simd));
+    let len = p.len();
+    // Moved from where they are before the others of the group are, which end with the same bits both times.
+    let last = (!len.is_multiple_of(3 * lanes))
+        .then(|| group::<S, R, K, _, _, _, _, 3>(simd, h, a, d, &held, steps, len - 3 * lanes, p, v));
     let mut at = 0;
-    while at + 6 * lanes <= p.len() {
-        group::<S, R, K, _, _, _, _, 6>(simd, h, a, d, &held, steps, at, p, v);
+    while at + 6 * lanes <= len {
+        let [ps, vs] = group::<S, R, K, _, _, _, _, 6>(simd, h, a, d, &held, steps, at, p, v);
+        store(ps, &mut p[at..]);
+        store(vs, &mut v[at..]);
         at += 6 * lanes;
     }
-    while at + 3 * lanes <= p.len() {
-        group::<S, R, K, _, _, _, _, 3>(simd, h, a, d, &held, steps, at, p, v);
-        at += 3 * lanes;
+    if at + 3 * lanes <= len {
+        let [ps, vs] = group::<S, R, K, _, _, _, _, 3>(simd, h, a, d, &held, steps, at, p, v);
+        store(ps, &mut p[at..]);
+        store(vs, &mut v[at..]);
+    }
+    if let Some([ps, vs]) = last {
+        store(ps, &mut p[len - 3 * lanes..]);
+        store(vs, &mut v[len - 3 * lanes..]);
     }
 }
 
+/// Where the group that begins at the component `at` ends.
 #[inline(always)]
 fn group<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, const DAMPS: bool, const N: usize>(
     simd: S,
@@ -341,17 +359,14 @@ fn group<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, 
     held: &Held<R, S, A, F, T>,
     steps: u64,
     at: usize,
-    p: &mut [R],
-    v: &mut [R],
-) {
-    let lanes = R::Lanes::<S>::LEN;
-    let (p, v) = (&mut p[at..at + N * lanes], &mut v[at..at + N * lanes]);
-    let mut ps: [R::Lanes<S>; N] =
-        std::array::from_fn(|k| R::Lanes::<S>::from_slice(simd, &p[k * lanes..(k + 1) * lanes]));
-    let mut vs: [R::Lanes<S>; N] =
-        std::array::from_fn(|k| R::Lanes::<S>::from_slice(simd, &v[k * lanes..(k + 1) * lanes]));
-    let accelerations: [R::Lanes<S>; N] = std::array::from_fn(|k| a.register(simd, &held.0, at, k));
-    let dampings: [R::Lanes<S>; N] = std::array::from_fn(|k| d.factor.register(simd, &held.1, at, k));
+    p: &[R],
+    v: &[R],
+) -> [[R::Lanes<S>; N]; 2] {
+    let end = at + N * R::Lanes::<S>::LEN;
+    let mut ps: [R::Lanes<S>; N] = load(simd, &p[at..end]);
+    let mut vs: [R::Lanes<S>; N] = load(simd, &v[at..end]);
+    let accelerations: [R::Lanes<S>; N] = a.registers(simd, &held.0, at);
+    let dampings: [R::Lanes<S>; N] = d.factor.registers(simd, &held.1, at);
     let half_square = R::Lanes::<S>::splat(simd, h * h * R::HALF);
     let h = R::Lanes::<S>::splat(simd, h);
     let kicks: [R::Lanes<S>; N] = std::array::from_fn(|k| accelerations[k] * h);
@@ -369,7 +384,8 @@ fn group<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, 
         }
         if DAMPS {
             // Hardly ever does anything come to rest; one branch for the group is cheaper than as many selections.
-            let slow: [_; N] = std::array::from_fn(|k| vs[k].abs().simd_lt(d.rest.register(simd, &held.2, at, k)));
+            let rests: [R::Lanes<S>; N] = d.rest.registers(simd, &held.2, at);
+            let slow: [_; N] = std::array::from_fn(|k| vs[k].abs().simd_lt(rests[k]));
             if slow.into_iter().reduce(|any, slow| any | slow).is_some_and(SimdMask::any_true) {
                 for k in 0..N {
                     vs[k] = slow[k].select(zero.copysign(vs[k]), vs[k]);
@@ -378,8 +394,5 @@ fn group<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, 
         }
         left -= some;
     }
-    for k in 0..N {
-        ps[k].store_slice(&mut p[k * lanes..(k + 1) * lanes]);
-        vs[k].store_slice(&mut v[k * lanes..(k + 1) * lanes]);
-    }
+    [ps, vs]
 }

@@ -15,7 +15,7 @@ use crate::real::Real;
 use crate::system::norm;
 use crate::world::bounds::Bounds;
 use crate::world::change::valid_max_step;
-use crate::world::drive::{BLOCK, Scratch};
+use crate::world::drive::{Driver, Scratch};
 use crate::world::motion::{self, Carrier, Rows, Span};
 use crate::world::{NEVER_CANCELLED, World};
 
@@ -278,9 +278,11 @@ impl<R: Real> World<R> {
 
     /// Moves position and velocity in rounds, between which the advance can be cancelled.
     fn run_steps(&mut self, step: Step<R>, steps: u64, cancelled: &AtomicBool) -> Result<(), Error> {
+        let (level, gravity) = (self.level, self.gravity());
         let particles = &mut *self.particles;
         let (mut position, mut velocity) =
             (std::mem::take(&mut particles.position), std::mem::take(&mut particles.velocity));
+        let driver = Driver { level, gravity, particles, factors: &self.factors };
         let rows = usize::try_from(ROUND_WORK / steps.clamp(1, ROUND_STEPS)).unwrap_or(usize::MAX);
         let mut run = || {
             for (round, (p, v)) in position.chunks_mut(rows).zip(velocity.chunks_mut(rows)).enumerate() {
@@ -291,42 +293,15 @@ impl<R: Real> World<R> {
                     }
                     let some = left.min(ROUND_STEPS);
                     let first = round * rows;
-                    self.threads.advance(some, p, v, |row, p, v| self.step_rows(step, some, first + row, p, v));
+                    self.threads.advance(some, p, v, |row, p, v| driver.advance(step, some, first + row, p, v));
                     left -= some;
                 }
             }
             Ok(())
         };
         let result = run();
-        let particles = &mut *self.particles;
         (particles.position, particles.velocity) = (position, velocity);
         result
-    }
-
-    /// Takes some steps with the rows from `first` on, except those at rest: all steps of a block while it is in the
-    /// cache.
-    fn step_rows(&self, step: Step<R>, steps: u64, first: usize, p: &mut [[R; 3]], v: &mut [[R; 3]]) {
-        let particles = &self.particles;
-        let rests = particles.resting_count() > 0;
-        if !rests && let Some(drive) = self.drive_as_it_is(first..first + p.len()) {
-            return kernel::advance(self.level, step, drive, steps, p.as_flattened_mut(), v.as_flattened_mut());
-        }
-        let mut scratch = Scratch::default();
-        for (block, (p, v)) in p.chunks_mut(BLOCK).zip(v.chunks_mut(BLOCK)).enumerate() {
-            let rows = first + block * BLOCK..first + block * BLOCK + p.len();
-            let resting = |row: &usize| rests && particles.is_resting(*row);
-            if rows.clone().all(|row| resting(&row)) {
-                continue;
-            }
-            // Those at rest are moved along and put back.
-            let kept: Vec<_> = rows.clone().zip(p.iter().zip(&*v)).filter(|(row, _)| resting(row)).collect();
-            let kept: Vec<_> = kept.into_iter().map(|(row, (p, v))| (row - rows.start, *p, *v)).collect();
-            let drive = self.drive(rows, &mut scratch);
-            kernel::advance(self.level, step, drive, steps, p.as_flattened_mut(), v.as_flattened_mut());
-            for (row, place, speed) in kept {
-                (p[row], v[row]) = (place, speed);
-            }
-        }
     }
 
     /// The smallest id of a particle that did not stay finite, its row and what of it, among all rows as they ended.
@@ -350,8 +325,8 @@ impl<R: Real> World<R> {
         let ended = self.particles.position.iter().copied().zip(self.particles.velocity.iter().copied());
         let Some((particle, row, _)) = self.diverged(ended) else { return Ok(()) };
         let (mut p, mut v) = (before.0[row], before.1[row]);
-        let mut scratch = Scratch::default();
-        let drive = self.drive(row..row + 1, &mut scratch);
+        let (driver, mut scratch) = (self.driver(), Scratch::default());
+        let drive = driver.drive(row..row + 1, &mut scratch);
         let mut done = 0;
         while done < steps {
             // From rest to rest, so that each step is the one of the advance.

@@ -3,10 +3,12 @@
 use std::collections::HashMap;
 use std::ops::Range;
 
+use fearless_simd::Level;
+
 use crate::column::Column;
 use crate::integrator::DampingLaw;
-use crate::kernel::{self, Acceleration, Drive};
-use crate::particles::Driving;
+use crate::kernel::{self, Acceleration, Drive, Step};
+use crate::particles::{Driving, Particles};
 use crate::real::Real;
 use crate::world::World;
 
@@ -84,8 +86,50 @@ impl<R: Real> World<R> {
         }
     }
 
+    pub(super) fn driver(&self) -> Driver<'_, R> {
+        Driver { level: self.level, gravity: self.gravity(), particles: &self.particles, factors: &self.factors }
+    }
+}
+
+/// What drives the particles of a world, wherever their positions and velocities are.
+#[derive(Debug)]
+pub(super) struct Driver<'a, R: Real> {
+    pub(super) level: Level,
+    pub(super) gravity: [R; 3],
+    pub(super) particles: &'a Particles<R>,
+    /// For steps of the length that is asked for.
+    pub(super) factors: &'a Factors<R>,
+}
+
+impl<R: Real> Driver<'_, R> {
+    /// Takes some steps with the rows from `first` on, except those at rest: all steps of a block while it is in the
+    /// cache.
+    pub(super) fn advance(&self, step: Step<R>, steps: u64, first: usize, p: &mut [[R; 3]], v: &mut [[R; 3]]) {
+        let particles = self.particles;
+        let rests = particles.resting_count() > 0;
+        if !rests && let Some(drive) = self.drive_as_it_is(first..first + p.len()) {
+            return kernel::advance(self.level, step, drive, steps, p.as_flattened_mut(), v.as_flattened_mut());
+        }
+        let mut scratch = Scratch::default();
+        for (block, (p, v)) in p.chunks_mut(BLOCK).zip(v.chunks_mut(BLOCK)).enumerate() {
+            let rows = first + block * BLOCK..first + block * BLOCK + p.len();
+            let resting = |row: &usize| rests && particles.is_resting(*row);
+            if rows.clone().all(|row| resting(&row)) {
+                continue;
+            }
+            // Those at rest are moved along and put back.
+            let kept: Vec<_> = rows.clone().zip(p.iter().zip(&*v)).filter(|(row, _)| resting(row)).collect();
+            let kept: Vec<_> = kept.into_iter().map(|(row, (p, v))| (row - rows.start, *p, *v)).collect();
+            let drive = self.drive(rows, &mut scratch);
+            kernel::advance(self.level, step, drive, steps, p.as_flattened_mut(), v.as_flattened_mut());
+            for (row, place, speed) in kept {
+                (p[row], v[row]) = (place, speed);
+            }
+        }
+    }
+
     /// What drives some rows, if nothing has to be computed for each of them.
-    pub(super) fn drive_as_it_is(&self, rows: Range<usize>) -> Option<Drive<'_, R>> {
+    fn drive_as_it_is(&self, rows: Range<usize>) -> Option<Drive<'_, R>> {
         Some(Drive { acceleration: self.acceleration_as_it_is(rows)?, damping: self.damping_as_it_is()? })
     }
 
@@ -94,7 +138,7 @@ impl<R: Real> World<R> {
         let len = rows.len();
         let acceleration = self.acceleration_as_it_is(rows.clone()).unwrap_or_else(|| {
             let filled = room(&mut scratch.acceleration, len);
-            self.particles.fill_acceleration(self.level, self.gravity(), rows.clone(), filled);
+            self.particles.fill_acceleration(self.level, self.gravity, rows.clone(), filled);
             Acceleration::Each(filled.as_flattened())
         });
         let damping = self.damping_as_it_is().unwrap_or_else(|| {
@@ -113,7 +157,7 @@ impl<R: Real> World<R> {
     }
 
     fn acceleration_as_it_is(&self, rows: Range<usize>) -> Option<Acceleration<'_, R>> {
-        match self.particles.driving_acceleration(self.gravity(), rows) {
+        match self.particles.driving_acceleration(self.gravity, rows) {
             Driving::Uniform(uniform) => Some(Acceleration::Uniform(uniform)),
             Driving::Column(column) => Some(Acceleration::Each(column.as_flattened())),
             Driving::Each => None,
