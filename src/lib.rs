@@ -40,6 +40,7 @@ mod ids;
 mod integrator;
 mod kernel;
 mod particles;
+mod prefetch;
 mod real;
 #[cfg(feature = "server")]
 mod registry;

@@ -8,6 +8,7 @@ use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, dispatch, f64x4};
 
 use super::lanes::LANES_MAX;
 use super::{Among, ClosedForm};
+use crate::prefetch::fetch_behind;
 use crate::real::Real;
 
 /// Registers of doubles that are computed together: whole particles, also of registers of singles.
@@ -26,7 +27,14 @@ impl Same {
     }
 
     /// Takes positions and velocities along the closed form, and writes where they are then.
-    pub(crate) fn carry<R: Real>(&self, level: Level, from: Motion<'_, R>, (to_p, to_v): MotionMut<'_, R>) {
+    /// `fetches`: memory ahead is fetched, see [`fetch_behind`].
+    pub(crate) fn carry<R: Real>(
+        &self,
+        level: Level,
+        fetches: bool,
+        from: Motion<'_, R>,
+        (to_p, to_v): MotionMut<'_, R>,
+    ) {
         assert!(from.0.len() == to_p.len() && from.1.len() == to_v.len() && to_p.len() == to_v.len());
         if self.form.is_still() {
             to_p.copy_from_slice(from.0);
@@ -38,9 +46,9 @@ impl Same {
         dispatch!(level, simd => {
             let held = Held::new(simd, self);
             if self.form.rest > 0.0 {
-                carry::<_, _, true>(simd, &held, from, to);
+                carry::<_, _, true>(simd, &held, fetches, from, to);
             } else {
-                carry::<_, _, false>(simd, &held, from, to);
+                carry::<_, _, false>(simd, &held, fetches, from, to);
             }
         });
     }
@@ -84,6 +92,7 @@ pub(crate) type MotionMut<'a, R> = (&'a mut [[R; 3]], &'a mut [[R; 3]]);
 /// Takes each of some particles along the one of the forms that it names, and writes where it is then.
 pub(crate) fn carry_each<R: Real>(
     level: Level,
+    fetches: bool,
     forms: (&[ClosedForm], &[u32]),
     accelerations: Among<'_, [f64; 3]>,
     from: Motion<'_, R>,
@@ -92,8 +101,8 @@ pub(crate) fn carry_each<R: Real>(
     let from = (from.0.as_flattened(), from.1.as_flattened());
     let to = (to_p.as_flattened_mut(), to_v.as_flattened_mut());
     dispatch!(level, simd => match accelerations {
-        Among::Uniform(a) => each(simd, forms, std::iter::repeat(&a), from, to),
-        Among::Each(a) => each(simd, forms, a, from, to),
+        Among::Uniform(a) => each(simd, fetches, forms, std::iter::repeat(&a), from, to),
+        Among::Each(a) => each(simd, fetches, forms, a, from, to),
     });
 }
 
@@ -102,6 +111,7 @@ pub(crate) fn carry_each<R: Real>(
 #[inline(always)]
 fn each<'a, S: Simd, R: Real>(
     simd: S,
+    fetches: bool,
     (forms, named): (&[ClosedForm], &[u32]),
     accelerations: impl IntoIterator<Item = &'a [f64; 3]>,
     (from_p, from_v): (&[R], &[R]),
@@ -119,6 +129,11 @@ fn each<'a, S: Simd, R: Real>(
             break;
         }
         let here = at..at + 4;
+        if fetches {
+            for list in [from_p, from_v, to_p, to_v] {
+                fetch_behind(&list[here.clone()]);
+            }
+        }
         let (p, v) = carry_four(simd, forms[*name as usize], next(), &from_p[here.clone()], &from_v[here.clone()]);
         R::store_four(p, &mut to_p[here.clone()]);
         R::store_four(v, &mut to_v[here]);
@@ -161,12 +176,18 @@ fn carry_four<S: Simd, R: Real>(
 fn carry<S: Simd, R: Real, const RESTS: bool>(
     simd: S,
     held: &Held<S>,
+    fetches: bool,
     (from_p, from_v): (&[R], &[R]),
     (to_p, to_v): (&mut [R], &mut [R]),
 ) {
     let len = TOGETHER * S::f64s::LEN;
     let from = from_p.chunks(len).zip(from_v.chunks(len));
     for ((p, v), (to_p, to_v)) in from.zip(to_p.chunks_mut(len).zip(to_v.chunks_mut(len))) {
+        if fetches {
+            for part in [p, v, to_p, to_v] {
+                fetch_behind(part);
+            }
+        }
         if p.len() == len {
             carry_together::<_, _, RESTS>(simd, held, (p, v), (to_p, to_v));
         } else {
@@ -213,6 +234,7 @@ impl ClosedForm {
     /// Takes one particle along.
     pub(crate) fn carry<R: Real>(&self, level: Level, acceleration: [f64; 3], p: &mut [R; 3], v: &mut [R; 3]) {
         let (from_p, from_v) = ([*p], [*v]);
-        Same::new(*self, acceleration).carry(level, (&from_p, &from_v), (slice::from_mut(p), slice::from_mut(v)));
+        let to = (slice::from_mut(p), slice::from_mut(v));
+        Same::new(*self, acceleration).carry(level, false, (&from_p, &from_v), to);
     }
 }

@@ -19,6 +19,7 @@ use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdMask, dispatch
 
 use crate::error::Quantity;
 use crate::integrator::Integrator;
+use crate::prefetch::fetch_behind;
 use crate::real::Real;
 
 /// The step of one advance.
@@ -27,6 +28,8 @@ pub(crate) struct Step<R> {
     pub(crate) integrator: Integrator,
     /// The length h of a step in seconds.
     pub(crate) h: R,
+    /// Whether memory is fetched ahead.
+    pub(crate) fetches: bool,
 }
 
 /// What moves the particles of a block, constant through the advance.
@@ -112,9 +115,9 @@ fn advance_few<R: Real>(level: Level, step: Step<R>, drive: Drive<'_, R>, steps:
 /// The same with at least a group.
 fn advance_groups<R: Real>(level: Level, step: Step<R>, drive: Drive<'_, R>, steps: u64, p: &mut [R], v: &mut [R]) {
     match step.integrator {
-        Integrator::NewtonEuler => with_acceleration::<R, NewtonEuler>(level, step.h, drive, steps, p, v),
-        Integrator::NewtonEulerQuadratic => with_acceleration::<R, Quadratic>(level, step.h, drive, steps, p, v),
-        Integrator::SemiImplicitEuler => with_acceleration::<R, SemiImplicit>(level, step.h, drive, steps, p, v),
+        Integrator::NewtonEuler => with_acceleration::<R, NewtonEuler>(level, step, drive, steps, p, v),
+        Integrator::NewtonEulerQuadratic => with_acceleration::<R, Quadratic>(level, step, drive, steps, p, v),
+        Integrator::SemiImplicitEuler => with_acceleration::<R, SemiImplicit>(level, step, drive, steps, p, v),
         Integrator::Exact | Integrator::VelocityVerlet | Integrator::Rk4 | Integrator::Dop853 => {
             unreachable!("only integrators of Euler's kind run here")
         }
@@ -257,24 +260,24 @@ fn store<S: Simd, L: SimdBase<S>, const N: usize>(registers: [L; N], to: &mut [L
 
 fn with_acceleration<R: Real, K: Scheme>(
     level: Level,
-    h: R,
+    step: Step<R>,
     drive: Drive<'_, R>,
     steps: u64,
     p: &mut [R],
     v: &mut [R],
 ) {
     match drive.acceleration {
-        Acceleration::Uniform(a) => with_damping::<R, K, _>(level, h, Vector(a), drive.damping, steps, p, v),
+        Acceleration::Uniform(a) => with_damping::<R, K, _>(level, step, Vector(a), drive.damping, steps, p, v),
         Acceleration::Each(a) => {
             assert!(a.len() == p.len());
-            with_damping::<R, K, _>(level, h, Each(a), drive.damping, steps, p, v);
+            with_damping::<R, K, _>(level, step, Each(a), drive.damping, steps, p, v);
         }
     }
 }
 
 fn with_damping<R: Real, K: Scheme, A: Source<R>>(
     level: Level,
-    h: R,
+    step: Step<R>,
     a: A,
     damping: Damping<'_, R>,
     steps: u64,
@@ -284,33 +287,33 @@ fn with_damping<R: Real, K: Scheme, A: Source<R>>(
     match damping {
         Damping::None => {
             let d = Damper::<_, _, false> { factor: Same(R::ONE), rest: Same(R::ZERO) };
-            compiled::<R, K, _, _, _, _>(level, h, a, d, steps, p, v);
+            compiled::<R, K, _, _, _, _>(level, step, a, d, steps, p, v);
         }
         Damping::Uniform(factor) => {
             let d = Damper::<_, _, true> { factor: Same(factor), rest: Same(R::REST) };
-            compiled::<R, K, _, _, _, _>(level, h, a, d, steps, p, v);
+            compiled::<R, K, _, _, _, _>(level, step, a, d, steps, p, v);
         }
         Damping::Each(factor) => {
             let d = Damper::<_, _, true> { factor: Each(factor), rest: Same(R::REST) };
-            compiled::<R, K, _, _, _, _>(level, h, a, d, steps, p, v);
+            compiled::<R, K, _, _, _, _>(level, step, a, d, steps, p, v);
         }
         Damping::Mixed { factor, rest } => {
             let d = Damper::<_, _, true> { factor: Each(factor), rest: Each(rest) };
-            compiled::<R, K, _, _, _, _>(level, h, a, d, steps, p, v);
+            compiled::<R, K, _, _, _, _>(level, step, a, d, steps, p, v);
         }
     }
 }
 
 fn compiled<R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, const DAMPS: bool>(
     level: Level,
-    h: R,
+    step: Step<R>,
     a: A,
     d: Damper<F, T, DAMPS>,
     steps: u64,
     p: &mut [R],
     v: &mut [R],
 ) {
-    dispatch!(level, simd => block::<_, R, K, _, _, _, _>(simd, h, a, d, steps, p, v));
+    dispatch!(level, simd => block::<_, R, K, _, _, _, _>(simd, step, a, d, steps, p, v));
 }
 
 /// Groups of six registers, which hide the latency of the arithmetic; then of three. What is left then is moved in a group
@@ -318,7 +321,7 @@ fn compiled<R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, const 
 #[inline(always)]
 fn block<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, const DAMPS: bool>(
     simd: S,
-    h: R,
+    step: Step<R>,
     a: A,
     d: Damper<F, T, DAMPS>,
     steps: u64,
@@ -330,16 +333,20 @@ fn block<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, 
     let len = p.len();
     // Moved from where they are before the others of the group are, which end with the same bits both times.
     let last = (!len.is_multiple_of(3 * lanes))
-        .then(|| group::<S, R, K, _, _, _, _, 3>(simd, h, a, d, &held, steps, len - 3 * lanes, p, v));
+        .then(|| group::<S, R, K, _, _, _, _, 3>(simd, step, a, d, &held, steps, len - 3 * lanes, p, v));
     let mut at = 0;
     while at + 6 * lanes <= len {
-        let [ps, vs] = group::<S, R, K, _, _, _, _, 6>(simd, h, a, d, &held, steps, at, p, v);
+        if step.fetches {
+            fetch_behind(&p[at..at + 6 * lanes]);
+            fetch_behind(&v[at..at + 6 * lanes]);
+        }
+        let [ps, vs] = group::<S, R, K, _, _, _, _, 6>(simd, step, a, d, &held, steps, at, p, v);
         store(ps, &mut p[at..]);
         store(vs, &mut v[at..]);
         at += 6 * lanes;
     }
     if at + 3 * lanes <= len {
-        let [ps, vs] = group::<S, R, K, _, _, _, _, 3>(simd, h, a, d, &held, steps, at, p, v);
+        let [ps, vs] = group::<S, R, K, _, _, _, _, 3>(simd, step, a, d, &held, steps, at, p, v);
         store(ps, &mut p[at..]);
         store(vs, &mut v[at..]);
     }
@@ -353,7 +360,7 @@ fn block<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, 
 #[inline(always)]
 fn group<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, const DAMPS: bool, const N: usize>(
     simd: S,
-    h: R,
+    step: Step<R>,
     a: A,
     d: Damper<F, T, DAMPS>,
     held: &Held<R, S, A, F, T>,
@@ -367,8 +374,8 @@ fn group<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, 
     let mut vs: [R::Lanes<S>; N] = load(simd, &v[at..end]);
     let accelerations: [R::Lanes<S>; N] = a.registers(simd, &held.0, at);
     let dampings: [R::Lanes<S>; N] = d.factor.registers(simd, &held.1, at);
-    let half_square = R::Lanes::<S>::splat(simd, h * h * R::HALF);
-    let h = R::Lanes::<S>::splat(simd, h);
+    let half_square = R::Lanes::<S>::splat(simd, step.h * step.h * R::HALF);
+    let h = R::Lanes::<S>::splat(simd, step.h);
     let kicks: [R::Lanes<S>; N] = std::array::from_fn(|k| accelerations[k] * h);
     let bursts: [R::Lanes<S>; N] = std::array::from_fn(|k| accelerations[k] * half_square);
     let zero = R::Lanes::<S>::splat(simd, R::ZERO);

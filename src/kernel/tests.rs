@@ -79,7 +79,7 @@ fn check<R: Real + PartialEq>(
     let factors: Vec<R> = seeds[..len].iter().map(|seed| share(seed[3])).collect();
     let rests: Vec<R> =
         seeds[..len].iter().map(|seed| if seed[3].is_multiple_of(3) { R::ZERO } else { R::REST }).collect();
-    let step_of = |integrator| Step { integrator, h: share(h) };
+    let step_of = |integrator| Step { integrator, h: share(h), fetches: h.is_multiple_of(2) };
     for integrator in Integrator::ALL.into_iter().filter(|integrator| integrator.is_euler()) {
         let step = step_of(integrator);
         let damping = match shape {

@@ -11,6 +11,7 @@ use crate::ids::ParticleId;
 use crate::integrator::{DampingLaw, Integrator};
 use crate::kernel::{self, Step};
 use crate::particles::zero;
+use crate::prefetch;
 use crate::real::Real;
 use crate::system::norm;
 use crate::world::bounds::Bounds;
@@ -247,7 +248,8 @@ impl<R: Real> World<R> {
     /// An advance under a stepped integrator. In place when bounds prove that it ends well and it is over at once;
     /// otherwise the state before is kept, and put back when the advance is cancelled or diverges. How many were looked at.
     fn step(&mut self, plan: StepPlan, cancelled: &AtomicBool) -> Result<usize, Error> {
-        let step = Step { integrator: self.settings.integrator, h: R::nearest(plan.step) };
+        let fetches = prefetch::is_large(&self.particles.position);
+        let step = Step { integrator: self.settings.integrator, h: R::nearest(plan.step), fetches };
         self.prepare_factors(step.h);
         let bounds = self.bounds.after_steps::<R>(plan).or_else(|| {
             self.bounds = Bounds::of(&self.particles, self.gravity());

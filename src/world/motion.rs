@@ -6,6 +6,7 @@ use crate::closed_form::{Among, ClosedForm, Decay, Motion, MotionMut, Same, carr
 use crate::column::Column;
 use crate::double_double::DoubleDouble;
 use crate::particles::zero;
+use crate::prefetch;
 use crate::real::Real;
 use crate::world::World;
 
@@ -134,13 +135,14 @@ impl<R: Real> Carrier<R> {
     /// not filled with zeros first: in a room that has been used before, each is written once.
     pub(super) fn read(&mut self, world: &World<R>, rows: &Rows<'_>, p: &mut Vec<[R; 3]>, v: &mut Vec<[R; 3]>) {
         let (positions, velocities) = (&world.particles.position, &world.particles.velocity);
+        let fetches = prefetch::is_large(positions);
         p.resize(rows.len(), zero());
         v.resize(rows.len(), zero());
         for (rows, (p, v)) in rows.clone().blocks().zip(p.chunks_mut(BLOCK).zip(v.chunks_mut(BLOCK))) {
             match &rows {
                 Rows::Range(range) if !self.still => {
                     let from = (&positions[range.clone()], &velocities[range.clone()]);
-                    self.carry_from(world, &rows, from, (p, v));
+                    self.carry_from(world, fetches, &rows, from, (p, v));
                 }
                 Rows::Range(_) | Rows::List(_) => {
                     copy_rows(positions, &rows, p);
@@ -161,14 +163,21 @@ impl<R: Real> Carrier<R> {
         start.0.extend_from_slice(p);
         start.1.clear();
         start.1.extend_from_slice(v);
-        self.carry_from(world, rows, (&start.0, &start.1), (p, v));
+        self.carry_from(world, false, rows, (&start.0, &start.1), (p, v));
         self.start = start;
     }
 
     /// The same from elsewhere; not for those that nothing carries.
-    fn carry_from(&mut self, world: &World<R>, rows: &Rows<'_>, from: Motion<'_, R>, to: MotionMut<'_, R>) {
+    fn carry_from(
+        &mut self,
+        world: &World<R>,
+        fetches: bool,
+        rows: &Rows<'_>,
+        from: Motion<'_, R>,
+        to: MotionMut<'_, R>,
+    ) {
         if let Some(same) = &self.same {
-            return same.carry(world.level, from, to);
+            return same.carry(world.level, fetches, from, to);
         }
         let indices = world.particles.base_time.indices().filter(|_| matches!(self.span, Span::To(_)));
         let forms = match (rows, indices) {
@@ -194,7 +203,7 @@ impl<R: Real> Carrier<R> {
             },
             Among::Uniform,
         );
-        carry_each(world.level, forms, accelerations, from, to);
+        carry_each(world.level, fetches, forms, accelerations, from, to);
     }
 
     /// The form of each row of a block; those that rest keep every bit.

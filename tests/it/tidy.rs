@@ -57,6 +57,7 @@ fn imports_point_down() {
             "ids",
             "integrator",
             "real",
+            "prefetch",
             "shared",
             "double_double",
             "registry",
