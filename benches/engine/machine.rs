@@ -123,21 +123,29 @@ fn in_halves<R: Number>(
 /// Enough that the call does not count.
 pub(crate) const PEAK_OPERATIONS: usize = 1 << 20;
 
-const CHAINS: usize = 16;
-
 /// The time of so many adds and multiplies, half of each, in registers; `operations` is what they are counted as.
 pub(crate) fn peak<R: Number>(arithmetic: usize, operations: usize) -> Contender {
     let level = Level::new();
     Contender::new("add/mul peak", operations, move || {
         let mut out = [R::ZERO; 64];
-        dispatch!(level, simd => chains(simd, arithmetic, &mut out));
+        dispatch!(level, simd => all_chains(simd, arithmetic, &mut out));
         black_box(out);
     })
 }
 
+/// As many as hide the latency of an add and a multiply, and as there are registers for.
+#[inline(always)]
+fn all_chains<S: Simd, R: Number>(simd: S, arithmetic: usize, out: &mut [R]) {
+    if size_of::<R>() * R::Register::<S>::LEN == 64 {
+        chains::<S, R, 24>(simd, arithmetic, out);
+    } else {
+        chains::<S, R, 16>(simd, arithmetic, out);
+    }
+}
+
 /// Chains that do not wait for each other; none overflows, and none decays.
 #[inline(always)]
-fn chains<S: Simd, R: Number>(simd: S, arithmetic: usize, out: &mut [R]) {
+fn chains<S: Simd, R: Number, const CHAINS: usize>(simd: S, arithmetic: usize, out: &mut [R]) {
     let lanes = R::Register::<S>::LEN;
     let [one, half]: [R::Register<S>; 2] = black_box([R::ONE, R::HALF]).map(|x| R::Register::<S>::splat(simd, x));
     let mut x = [one; CHAINS];
