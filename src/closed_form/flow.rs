@@ -8,7 +8,7 @@ use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, dispatch, f64x4};
 
 use super::lanes::LANES_MAX;
 use super::{Among, ClosedForm};
-use crate::prefetch::fetch_behind;
+use crate::prefetch::fetch_ahead;
 use crate::real::Real;
 
 /// Registers of doubles that are computed together: whole particles, also of registers of singles.
@@ -27,7 +27,7 @@ impl Same {
     }
 
     /// Takes positions and velocities along the closed form, and writes where they are then.
-    /// `fetches`: memory ahead is fetched, see [`fetch_behind`].
+    /// `fetches`: with [`fetch_ahead`].
     pub(crate) fn carry<R: Real>(
         &self,
         level: Level,
@@ -131,7 +131,7 @@ fn each<'a, S: Simd, R: Real>(
         let here = at..at + 4;
         if fetches {
             for list in [from_p, from_v, to_p, to_v] {
-                fetch_behind(&list[here.clone()]);
+                fetch_ahead(&list[here.clone()]);
             }
         }
         let (p, v) = carry_four(simd, forms[*name as usize], next(), &from_p[here.clone()], &from_v[here.clone()]);
@@ -185,7 +185,7 @@ fn carry<S: Simd, R: Real, const RESTS: bool>(
     for ((p, v), (to_p, to_v)) in from.zip(to_p.chunks_mut(len).zip(to_v.chunks_mut(len))) {
         if fetches {
             for part in [p, v, to_p, to_v] {
-                fetch_behind(part);
+                fetch_ahead(part);
             }
         }
         if p.len() == len {

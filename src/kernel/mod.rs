@@ -19,7 +19,7 @@ use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdMask, dispatch
 
 use crate::error::Quantity;
 use crate::integrator::Integrator;
-use crate::prefetch::fetch_behind;
+use crate::prefetch::fetch_ahead;
 use crate::real::Real;
 
 /// The step of one advance.
@@ -337,8 +337,8 @@ fn block<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, 
     let mut at = 0;
     while at + 6 * lanes <= len {
         if step.fetches {
-            fetch_behind(&p[at..at + 6 * lanes]);
-            fetch_behind(&v[at..at + 6 * lanes]);
+            fetch_ahead(&p[at..at + 6 * lanes]);
+            fetch_ahead(&v[at..at + 6 * lanes]);
         }
         let [ps, vs] = group::<S, R, K, _, _, _, _, 6>(simd, step, a, d, &held, steps, at, p, v);
         store(ps, &mut p[at..]);

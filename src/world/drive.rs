@@ -86,6 +86,7 @@ impl<R: Real> World<R> {
         }
     }
 
+    /// The driver of this world, while nothing of it is written.
     pub(super) fn driver(&self) -> Driver<'_, R> {
         Driver { level: self.level, gravity: self.gravity(), particles: &self.particles, factors: &self.factors }
     }
