@@ -35,6 +35,7 @@ mod column;
 mod command;
 mod double_double;
 mod error;
+mod filled;
 mod forces;
 mod ids;
 mod integrator;

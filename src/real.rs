@@ -8,6 +8,7 @@ use std::ops::{Add, Mul, Sub};
 use glam::{DVec3, Vec3};
 
 use crate::double_double::DoubleDouble;
+use crate::world::Compiled;
 
 /// The precision of a world: how its numbers are stored and how the stepped integrators compute.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
@@ -141,6 +142,7 @@ mod sealed {
 /// The number type of a world: `f32` with [`glam::Vec3`], or `f64` with [`glam::DVec3`]. Sealed.
 pub trait Real:
     sealed::Sealed
+    + Compiled
     + Copy
     + Default
     + Debug

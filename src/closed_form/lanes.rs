@@ -1,11 +1,11 @@
 //! Doubles, one or many at once.
 
-use std::array;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use fearless_simd::{ExtractToken, Select, Simd, SimdBase, SimdFloat, SimdMask};
 
 use crate::double_double::{Lane, lost_in_product};
+use crate::filled::filled;
 
 const FRACTION: u64 = (1 << 52) - 1;
 
@@ -87,27 +87,17 @@ impl<S: Simd> Registers<S> {
     /// The first values of these.
     #[inline(always)]
     pub(super) fn load(simd: S, values: &[f64; LEN_MAX]) -> Self {
-        Self(array::from_fn(|k| S::f64s::from_slice(simd, &values[k * S::f64s::LEN..][..S::f64s::LEN])))
+        Self(filled!(k in ABREAST => S::f64s::from_slice(simd, &values[k * S::f64s::LEN..(k + 1) * S::f64s::LEN])))
     }
 
     /// Their lanes, and zeros behind them.
     #[inline(always)]
     pub(super) fn store(self) -> [f64; LEN_MAX] {
         let mut values = [0.0; LEN_MAX];
-        for (register, values) in self.0.into_iter().zip(values.chunks_exact_mut(S::f64s::LEN)) {
-            register.store_slice(values);
+        for k in 0..ABREAST {
+            self.0[k].store_slice(&mut values[k * S::f64s::LEN..(k + 1) * S::f64s::LEN]);
         }
         values
-    }
-
-    #[inline(always)]
-    fn map(self, f: impl Fn(S::f64s) -> S::f64s) -> Self {
-        Self(array::from_fn(|k| f(self.0[k])))
-    }
-
-    #[inline(always)]
-    fn zip(self, other: Self, f: impl Fn(S::f64s, S::f64s) -> S::f64s) -> Self {
-        Self(array::from_fn(|k| f(self.0[k], other.0[k])))
     }
 }
 
@@ -115,7 +105,7 @@ impl<S: Simd> Add for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn add(self, other: Self) -> Self {
-        self.zip(other, |a, b| a + b)
+        Self(filled!(k in ABREAST => self.0[k] + other.0[k]))
     }
 }
 
@@ -123,7 +113,7 @@ impl<S: Simd> Add<f64> for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn add(self, other: f64) -> Self {
-        self.map(|a| a + other)
+        Self(filled!(k in ABREAST => self.0[k] + other))
     }
 }
 
@@ -131,7 +121,7 @@ impl<S: Simd> Sub for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn sub(self, other: Self) -> Self {
-        self.zip(other, |a, b| a - b)
+        Self(filled!(k in ABREAST => self.0[k] - other.0[k]))
     }
 }
 
@@ -139,7 +129,7 @@ impl<S: Simd> Mul for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn mul(self, other: Self) -> Self {
-        self.zip(other, |a, b| a * b)
+        Self(filled!(k in ABREAST => self.0[k] * other.0[k]))
     }
 }
 
@@ -147,7 +137,7 @@ impl<S: Simd> Mul<f64> for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn mul(self, other: f64) -> Self {
-        self.map(|a| a * other)
+        Self(filled!(k in ABREAST => self.0[k] * other))
     }
 }
 
@@ -155,7 +145,7 @@ impl<S: Simd> Div for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn div(self, other: Self) -> Self {
-        self.zip(other, |a, b| a / b)
+        Self(filled!(k in ABREAST => self.0[k] / other.0[k]))
     }
 }
 
@@ -163,7 +153,7 @@ impl<S: Simd> Neg for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn neg(self) -> Self {
-        self.map(|a| -a)
+        Self(filled!(k in ABREAST => -self.0[k]))
     }
 }
 
@@ -172,7 +162,7 @@ impl<S: Simd> Lane for Registers<S> {
     fn lost_in_product(self, other: Self, product: Self) -> Self {
         // Instruction sets with registers of four doubles and more have a fused multiply-add.
         if S::f64s::LEN >= 4 {
-            Self(array::from_fn(|k| self.0[k].mul_sub_precise(other.0[k], product.0[k])))
+            Self(filled!(k in ABREAST => self.0[k].mul_sub_precise(other.0[k], product.0[k])))
         } else {
             lost_in_product(self, other, product)
         }
@@ -183,38 +173,38 @@ impl<S: Simd> Lanes for Registers<S> {
     type Mask = [S::mask64s; ABREAST];
     #[inline(always)]
     fn splat(self, value: f64) -> Self {
-        self.map(|a| S::f64s::splat(a.token(), value))
+        Self(filled!(k in ABREAST => S::f64s::splat(self.0[k].token(), value)))
     }
     #[inline(always)]
     fn is_below(self, bound: f64) -> Self::Mask {
-        self.0.map(|a| a.simd_lt(bound))
+        filled!(k in ABREAST => self.0[k].simd_lt(bound))
     }
     #[inline(always)]
     fn choose(mask: Self::Mask, then: Self, otherwise: Self) -> Self {
-        Self(array::from_fn(|k| mask[k].select(then.0[k], otherwise.0[k])))
+        Self(filled!(k in ABREAST => mask[k].select(then.0[k], otherwise.0[k])))
     }
     #[inline(always)]
     fn all(mask: Self::Mask) -> bool {
-        mask.iter().all(|mask| mask.all_true())
+        mask[0].all_true() && mask[1].all_true()
     }
     #[inline(always)]
     fn any(mask: Self::Mask) -> bool {
-        mask.iter().any(|mask| mask.any_true())
+        mask[0].any_true() || mask[1].any_true()
     }
     #[inline(always)]
     fn mantissa(self) -> Self {
-        self.map(|a| S::f64s::from_bits((a.to_bits() & FRACTION) | 1.0_f64.to_bits()))
+        Self(filled!(k in ABREAST => S::f64s::from_bits((self.0[k].to_bits() & FRACTION) | 1.0_f64.to_bits())))
     }
     #[inline(always)]
     fn power(self) -> Self {
-        self.map(|a| S::f64s::from_bits(a.to_bits() & !FRACTION))
+        Self(filled!(k in ABREAST => S::f64s::from_bits(self.0[k].to_bits() & !FRACTION)))
     }
     #[inline(always)]
     fn exponent_bits_in(self, number: f64) -> Self {
-        self.map(|a| S::f64s::from_bits((a.to_bits() >> 52) | number.to_bits()))
+        Self(filled!(k in ABREAST => S::f64s::from_bits((self.0[k].to_bits() >> 52) | number.to_bits())))
     }
     #[inline(always)]
     fn last_bits_as_exponent(self) -> Self {
-        self.map(|a| S::f64s::from_bits(a.to_bits() << 52))
+        Self(filled!(k in ABREAST => S::f64s::from_bits(self.0[k].to_bits() << 52)))
     }
 }

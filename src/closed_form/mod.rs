@@ -202,15 +202,13 @@ fn each_form<S: Simd>(simd: S, decay: impl Fn(usize) -> Decay, times: &[f64], fo
         let [kept, phi, psi] =
             ordinary(load(&lambda_hi, &lambda_lo), load(&inverse_hi, &inverse_lo), Registers::load(simd, &time));
         let (kept, phi, psi) = (kept.store(), phi.store(), psi.store());
-        let first = forms.len();
-        let rest = |lane| decay(chunk * len + lane).rest;
-        let form = |lane| ClosedForm { kept: kept[lane], phi: phi[lane], psi: psi[lane], rest: rest(lane) };
-        forms.extend((0..times.len()).map(form));
-        for (lane, (form, time)) in forms[first..].iter_mut().zip(times).enumerate() {
+        for (lane, time) in times.iter().enumerate() {
             let decay = decay(chunk * len + lane);
-            if decay.lambda.hi == 0.0 || !decay.is_ordinary(*time) {
-                *form = decay.over(*time);
-            }
+            forms.push(if decay.lambda.hi == 0.0 || !decay.is_ordinary(*time) {
+                decay.over(*time)
+            } else {
+                ClosedForm { kept: kept[lane], phi: phi[lane], psi: psi[lane], rest: decay.rest }
+            });
         }
     }
 }

@@ -18,6 +18,7 @@ use std::ops::{Add, Mul};
 use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
 
 use crate::error::Quantity;
+use crate::filled::filled;
 use crate::integrator::Integrator;
 use crate::prefetch::fetch_ahead;
 use crate::real::Real;
@@ -229,7 +230,7 @@ impl<R: Real> Source<R> for Vector<R> {
     }
     #[inline(always)]
     fn registers<S: Simd, const N: usize>(&self, _: S, held: &Self::Held<S>, _: usize) -> [R::Lanes<S>; N] {
-        std::array::from_fn(|k| held[k % 3])
+        filled!(k in N => held[k % 3])
     }
 }
 
@@ -247,14 +248,14 @@ impl<R: Real> Source<R> for Each<'_, R> {
 #[inline(always)]
 fn load<S: Simd, R: Real, const N: usize>(simd: S, from: &[R]) -> [R::Lanes<S>; N] {
     let lanes = R::Lanes::<S>::LEN;
-    std::array::from_fn(|k| R::Lanes::<S>::from_slice(simd, &from[k * lanes..(k + 1) * lanes]))
+    filled!(k in N => R::Lanes::<S>::from_slice(simd, &from[k * lanes..(k + 1) * lanes]))
 }
 
 /// Writes them where `to` begins.
 #[inline(always)]
 fn store<S: Simd, L: SimdBase<S>, const N: usize>(registers: [L; N], to: &mut [L::Element]) {
-    for (register, to) in registers.iter().zip(to[..N * L::LEN].chunks_exact_mut(L::LEN)) {
-        register.store_slice(to);
+    for k in 0..N {
+        registers[k].store_slice(&mut to[k * L::LEN..(k + 1) * L::LEN]);
     }
 }
 
@@ -376,8 +377,8 @@ fn group<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, 
     let dampings: [R::Lanes<S>; N] = d.factor.registers(simd, &held.1, at);
     let half_square = R::Lanes::<S>::splat(simd, step.h * step.h * R::HALF);
     let h = R::Lanes::<S>::splat(simd, step.h);
-    let kicks: [R::Lanes<S>; N] = std::array::from_fn(|k| accelerations[k] * h);
-    let bursts: [R::Lanes<S>; N] = std::array::from_fn(|k| accelerations[k] * half_square);
+    let kicks: [R::Lanes<S>; N] = filled!(k in N => accelerations[k] * h);
+    let bursts: [R::Lanes<S>; N] = filled!(k in N => accelerations[k] * half_square);
     let zero = R::Lanes::<S>::splat(simd, R::ZERO);
     let mut left = steps;
     while left > 0 {
@@ -392,8 +393,12 @@ fn group<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, 
         if DAMPS {
             // Hardly ever does anything come to rest; one branch for the group is cheaper than as many selections.
             let rests: [R::Lanes<S>; N] = d.rest.registers(simd, &held.2, at);
-            let slow: [_; N] = std::array::from_fn(|k| vs[k].abs().simd_lt(rests[k]));
-            if slow.into_iter().reduce(|any, slow| any | slow).is_some_and(SimdMask::any_true) {
+            let slow = filled!(k in N => vs[k].abs().simd_lt(rests[k]));
+            let mut any = slow[0];
+            for k in 1..N {
+                any = any | slow[k];
+            }
+            if any.any_true() {
                 for k in 0..N {
                     vs[k] = slow[k].select(zero.copysign(vs[k]), vs[k]);
                 }

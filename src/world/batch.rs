@@ -12,7 +12,7 @@ use crate::world::{NEVER_CANCELLED, World};
 /// What a batch keeps to be able to go back. A command that is refused has changed nothing, so only those count that
 /// something follows which can fail; and a copy of a world takes as long as many steps of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Keep {
+pub enum Keep {
     Nothing,
     /// The force accumulators: so a tick (forces, then an advance) costs no copy.
     Forces,
@@ -37,6 +37,16 @@ impl Part {
     }
 }
 
+/// What a world was before a batch.
+#[derive(Debug)]
+pub struct Before<R: Real> {
+    kept: Kept<R>,
+    limits: Limits,
+    /// Of the batch that this one is in.
+    outer: Option<bool>,
+}
+
+#[derive(Debug)]
 enum Kept<R: Real> {
     Nothing,
     Forces(Acting<R>, Bounds),
@@ -83,6 +93,10 @@ impl<R: Real> World<R> {
     /// # Errors
     /// As [`World::apply`], with the place of the command.
     pub fn apply_all(&mut self, commands: &[Command<R>]) -> Result<Vec<Outcome>, BatchError> {
+        R::world_apply_all(self, commands)
+    }
+
+    pub(super) fn apply_commands(&mut self, commands: &[Command<R>]) -> Result<Vec<Outcome>, BatchError> {
         self.keeping(Keep::of(commands.iter().map(Part::of)), |world| {
             let apply = |(index, command)| {
                 world.apply_in_batch(command, &NEVER_CANCELLED).map_err(|error| BatchError { index, error })
@@ -115,7 +129,13 @@ impl<R: Real> World<R> {
         keep: Keep,
         changes: impl FnOnce(&mut Self) -> Result<T, E>,
     ) -> Result<T, E> {
-        let limits = self.limits;
+        let before = R::world_begin(self, keep);
+        let result = changes(self);
+        R::world_end(self, before, result.is_err());
+        result
+    }
+
+    pub(super) fn begin_batch(&mut self, keep: Keep) -> Before<R> {
         let kept = match keep {
             Keep::Nothing => Kept::Nothing,
             Keep::Forces => {
@@ -124,20 +144,15 @@ impl<R: Real> World<R> {
             }
             Keep::Everything => Kept::Everything(Box::new(self.clone())),
         };
-        let outer = self.batch.replace(false);
-        let result = changes(self);
+        Before { kept, limits: self.limits, outer: self.batch.replace(false) }
+    }
+
+    pub(super) fn end_batch(&mut self, before: Before<R>, is_refused: bool) {
+        let Before { kept, limits, outer } = before;
         let has_changed = std::mem::replace(&mut self.batch, outer) == Some(true);
         self.limits = limits;
-        if result.is_ok() {
-            if matches!(kept, Kept::Forces(..)) {
-                self.history.iter_mut().for_each(|history| history.keep_forces());
-            }
-            if has_changed {
-                self.end_change();
-            }
-            return result;
-        }
         match kept {
+            Kept::Forces(..) if !is_refused => self.history.iter_mut().for_each(|history| history.keep_forces()),
             Kept::Nothing => {}
             Kept::Forces(force, bounds) => {
                 let len = self.particles.len();
@@ -145,9 +160,12 @@ impl<R: Real> World<R> {
                 self.bounds = bounds;
                 self.history.iter_mut().for_each(|history| history.take_forces_back(len));
             }
-            Kept::Everything(before) => *self = *before,
+            Kept::Everything(before) if is_refused => *self = *before,
+            Kept::Everything(_) => {}
         }
-        result
+        if has_changed && !is_refused {
+            self.end_change();
+        }
     }
 
     /// As [`World::apply_unless`]; an advance takes what it cost from the limits, which [`World::keeping`] gives back.

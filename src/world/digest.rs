@@ -84,6 +84,10 @@ impl<R: Real> World<R> {
     /// ```
     #[must_use]
     pub fn digest(&self) -> Digest {
+        R::world_digest(self)
+    }
+
+    pub(super) fn hash(&self) -> Digest {
         let mut hasher = Sha256::new();
         let mut words = Vec::with_capacity(WORDS_AT_ONCE);
         self.push_settings(&mut words);

@@ -82,8 +82,8 @@ impl<'a, R: Real> Changes<'a, R> {
         let since = history.mark_of(revision);
         let none = matches!(history.marks, Column::Uniform(mark) if mark.max(history.deferred) <= since);
         let every = (!none).then(|| world.ids.from(first.0)).into_iter().flatten();
-        let all = self.are_all();
-        every.filter(move |(_, row)| all || world.differs(history, *row, since)).map(|(id, _)| id)
+        let (all, changes) = (self.are_all(), Self { world, history, revision });
+        every.filter(move |(_, row)| all || R::world_has_changed(&changes, *row)).map(|(id, _)| id)
     }
 
     /// Whether it can be told at once that every particle changed.
@@ -97,8 +97,11 @@ impl<'a, R: Real> Changes<'a, R> {
     /// Whether a particle is there and changed, or is new.
     #[must_use]
     pub fn contains(&self, id: ParticleId) -> bool {
-        let since = self.history.mark_of(self.revision);
-        self.world.ids.row(id).is_some_and(|row| self.world.differs(self.history, row, since))
+        self.world.ids.row(id).is_some_and(|row| R::world_has_changed(self, row))
+    }
+
+    pub(super) fn differs(&self, row: usize) -> bool {
+        self.world.differs(self.history, row, self.history.mark_of(self.revision))
     }
 
     /// The particles that were there and are removed, in ascending order of id.
@@ -199,6 +202,10 @@ impl<R: Real> World<R> {
     /// A history takes four bytes a particle, none where all change at once, at most nine; and 128 kB at most. A world
     /// that is never asked has none. Each advance in steps looks at every particle for it, once.
     pub fn keep_history(&mut self) {
+        R::world_keep_history(self);
+    }
+
+    pub(super) fn keep_marks(&mut self) {
         if self.history.is_none() {
             // What a batch has done so far is in no mark.
             let revision = self.revision + u64::from(self.batch == Some(true));

@@ -6,6 +6,7 @@ mod bounds;
 mod change;
 #[cfg(feature = "server")]
 mod columns;
+mod compiled;
 #[cfg(feature = "digest")]
 mod digest;
 mod drive;
@@ -18,6 +19,7 @@ mod snapshot;
 mod system;
 mod trajectory;
 mod until;
+mod walk;
 
 use std::sync::atomic::AtomicBool;
 
@@ -37,6 +39,7 @@ use bounds::Bounds;
 use drive::Factors;
 use history::History;
 use motion::{Carrier, Rows, Span};
+use walk::Walk;
 
 pub use advance::StepPlan;
 #[cfg(feature = "server")]
@@ -51,6 +54,8 @@ pub use restore::Snapshot;
 #[cfg(feature = "snapshot")]
 pub use snapshot::SnapshotError;
 pub use trajectory::Trajectory;
+
+pub(crate) use compiled::Compiled;
 
 /// Particles that move together, in one precision, under one clock.
 ///
@@ -147,9 +152,6 @@ impl<R: Real> ParticleState<R> {
     }
 }
 
-/// Particles that an iterator begins with.
-const SHORT: usize = 8;
-
 static NEVER_CANCELLED: AtomicBool = AtomicBool::new(false);
 
 impl<R: Real> Default for World<R> {
@@ -171,7 +173,11 @@ impl<R: Real> World<R> {
     ///
     /// # Errors
     /// As [`World::new`].
-    pub fn with_limits(settings: Settings<R>, mut limits: Limits) -> Result<Self, Error> {
+    pub fn with_limits(settings: Settings<R>, limits: Limits) -> Result<Self, Error> {
+        R::world_with_limits(settings, limits)
+    }
+
+    fn empty(settings: Settings<R>, mut limits: Limits) -> Result<Self, Error> {
         limits.particles = limits.particles.min(Limits::default().particles);
         limits.steps = limits.steps.min(Limits::default().steps);
         let mut world = Self {
@@ -215,6 +221,10 @@ impl<R: Real> World<R> {
     /// # Errors
     /// As [`World::apply`], and [`Error::Cancelled`].
     pub fn apply_unless(&mut self, command: &Command<R>, cancelled: &AtomicBool) -> Result<Outcome, Error> {
+        R::world_apply(self, command, cancelled)
+    }
+
+    fn apply_command(&mut self, command: &Command<R>, cancelled: &AtomicBool) -> Result<Outcome, Error> {
         let outcome = match command {
             Command::Create(new) => self.create_columns(new)?,
             Command::Place { ids, position, velocity } => self.place_all(ids, position.as_ref(), velocity.as_ref())?,
@@ -389,6 +399,10 @@ impl<R: Real> World<R> {
     /// # Errors
     /// Unknown particle.
     pub fn particle(&self, id: ParticleId) -> Result<ParticleState<R>, Error> {
+        R::world_particle(self, id)
+    }
+
+    fn state_of(&self, id: ParticleId) -> Result<ParticleState<R>, Error> {
         let row = self.ids.row(id).ok_or(Error::UnknownParticle { id, index: 0 })?;
         let (position, velocity) = self.now(row);
         Ok(self.state(id, row, position, velocity))
@@ -401,25 +415,7 @@ impl<R: Real> World<R> {
 
     /// The same, from the first id that is at least `first`.
     pub fn particles_from(&self, first: ParticleId) -> impl Iterator<Item = ParticleState<R>> {
-        let mut every = self.ids.from(first.0);
-        let (mut rows, mut at) = (Vec::new(), 0);
-        // A short read is not made to pay for a whole block.
-        let mut carrier = Carrier::new(self, Span::To(self.clock), false, SHORT);
-        let mut block = States::default();
-        std::iter::from_fn(move || {
-            if at == rows.len() {
-                let limit = if rows.is_empty() { SHORT } else { motion::BLOCK };
-                if rows.len() == SHORT {
-                    carrier = Carrier::new(self, Span::To(self.clock), false, motion::BLOCK);
-                }
-                (rows, at) = (every.by_ref().take(limit).collect(), 0);
-                let list: Vec<usize> = rows.iter().map(|(_, row)| *row).collect();
-                carrier.read(self, &Rows::List(&list), &mut block.position, &mut block.velocity);
-            }
-            let (id, row) = *rows.get(at)?;
-            at += 1;
-            Some(self.state(id, row, block.position[at - 1], block.velocity[at - 1]))
-        })
+        Walk::from(self, first)
     }
 
     /// Writes ids, positions and velocities of up to `limit` particles, in ascending order of id, from the first id that
@@ -440,6 +436,10 @@ impl<R: Real> World<R> {
     /// # Ok::<(), pointmass::Error>(())
     /// ```
     pub fn read(&self, first: ParticleId, limit: usize, into: &mut States<R>) {
+        R::world_read(self, first, limit, into);
+    }
+
+    fn read_states(&self, first: ParticleId, limit: usize, into: &mut States<R>) {
         if let Some(range) = self.ids.rows_from(first, limit) {
             into.id.clear();
             into.id.extend(range.clone().map(|row| ParticleId(row as u64)));
@@ -472,6 +472,10 @@ impl<R: Real> World<R> {
     /// # Ok::<(), pointmass::Error>(())
     /// ```
     pub fn for_each_block(&self, mut visit: impl FnMut(&States<R>)) {
+        R::world_show(self, &mut visit);
+    }
+
+    fn show_blocks(&self, visit: &mut dyn FnMut(&States<R>)) {
         let count = self.particles.len();
         let mut carrier = Carrier::new(self, Span::To(self.clock), false, count);
         let mut block = States::default();

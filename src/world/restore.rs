@@ -90,7 +90,15 @@ impl<S: Read> Snapshot<S> {
     ///
     /// # Errors
     /// [`SnapshotError`].
-    pub fn restore<R: Real>(self, limits: Limits) -> Result<World<R>, SnapshotError> {
+    pub fn restore<R: Real>(mut self, limits: Limits) -> Result<World<R>, SnapshotError> {
+        let Reader { piece, sum, .. } = self.reader;
+        let reader = Reader { source: &mut self.reader.source as &mut dyn Read, piece, sum };
+        R::world_restore(Snapshot { reader, precision: self.precision, head: self.head }, limits)
+    }
+}
+
+impl Snapshot<&mut dyn Read> {
+    pub(super) fn read<R: Real>(self, limits: Limits) -> Result<World<R>, SnapshotError> {
         if self.precision != R::PRECISION {
             return Err(SnapshotError::OtherPrecision(self.precision));
         }

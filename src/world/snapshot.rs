@@ -122,7 +122,11 @@ impl<R: Real> World<R> {
     ///
     /// # Errors
     /// Those of the sink.
-    pub fn snapshot(&self, sink: impl Write) -> io::Result<()> {
+    pub fn snapshot(&self, mut sink: impl Write) -> io::Result<()> {
+        R::world_snapshot(self, &mut sink)
+    }
+
+    pub(super) fn write_snapshot(&self, sink: &mut dyn Write) -> io::Result<()> {
         let mut writer = Writer { sink, piece: Vec::with_capacity(PIECE), sum: Hasher::new() };
         writer.put(&MAGIC)?;
         self.head().into_iter().try_for_each(|word| writer.word(word))?;
@@ -206,13 +210,13 @@ fn number(x: impl Into<f64>) -> u64 {
 }
 
 /// Hands pieces to a sink and sums them up.
-struct Writer<W> {
-    sink: W,
+struct Writer<'a> {
+    sink: &'a mut dyn Write,
     piece: Vec<u8>,
     sum: Hasher,
 }
 
-impl<W: Write> Writer<W> {
+impl Writer<'_> {
     fn flush(&mut self) -> io::Result<()> {
         self.sum.update(&self.piece);
         self.sink.write_all(&self.piece)?;

@@ -58,6 +58,16 @@ impl<R: Real> World<R> {
         samples: usize,
         cancelled: &AtomicBool,
     ) -> Result<Trajectory<R>, Error> {
+        R::world_trajectory(self, id, duration, samples, cancelled)
+    }
+
+    pub(super) fn way_of(
+        &self,
+        id: ParticleId,
+        duration: f64,
+        samples: usize,
+        cancelled: &AtomicBool,
+    ) -> Result<Trajectory<R>, Error> {
         let row = self.ids.row(id).ok_or(Error::UnknownParticle { id, index: 0 })?;
         if samples < 2 {
             return Err(Error::TooFewSamples);
