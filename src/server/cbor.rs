@@ -228,7 +228,7 @@ impl<'a> Items<'a> {
             }
             Type::F16 | Type::F32 | Type::F64 => {
                 census.numbers += 1;
-                decoder.f64()?;
+                self.float()?;
             }
             Type::Map => {
                 census.objects += 1;
@@ -289,9 +289,22 @@ impl<'a> Items<'a> {
         Ok(Some(match self.decoder.datatype()? {
             Type::U8 | Type::U16 | Type::U32 | Type::U64 => Number::Whole(self.decoder.u64()?),
             Type::I8 | Type::I16 | Type::I32 | Type::I64 | Type::Int => Number::Negative(self.decoder.int()?.into()),
-            Type::F16 | Type::F32 | Type::F64 => Number::Float(self.decoder.f64()?),
+            Type::F16 | Type::F32 | Type::F64 => Number::Float(self.float()?),
             _ => return Ok(None),
         }))
+    }
+
+    /// A float of any width. Halves are taken apart here: for them minicbor would bring three crates.
+    fn float(&mut self) -> Result<f64, Fault> {
+        let at = self.decoder.position();
+        if self.decoder.datatype()? != Type::F16 {
+            return Ok(self.decoder.f64()?);
+        }
+        let Some([high, low]) = self.decoder.input().get(at + 1..).and_then(<[u8]>::first_chunk) else {
+            return Err(malformed("it ends within a number"));
+        };
+        self.decoder.set_position(at + 3);
+        Ok(half(u16::from_be_bytes([*high, *low])))
     }
 
     fn tagged(&mut self) -> Result<TypedArray<'a>, Fault> {
@@ -315,6 +328,18 @@ impl<'a> Items<'a> {
         }
         Ok(TypedArray { kind, bytes })
     }
+}
+
+/// The number that the 16 bits of a float stand for.
+fn half(bits: u16) -> f64 {
+    let (exponent, mantissa) = ((bits >> 10) & 31, f64::from(bits & 1023));
+    let magnitude = match exponent {
+        0 => mantissa / 16_777_216.0,
+        31 if mantissa == 0.0 => f64::INFINITY,
+        31 => f64::NAN,
+        _ => (1.0 + mantissa / 1024.0) * f64::from(1_u32 << exponent) / 32_768.0,
+    };
+    if bits >> 15 == 1 { -magnitude } else { magnitude }
 }
 
 /// Reads a value by what it is to become; what it becomes refuses what it cannot be.
@@ -645,7 +670,7 @@ impl<'de> SeqAccess<'de> for TypedItems<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Census, Code, LEVELS_MAX, read};
+    use super::{Census, Code, LEVELS_MAX, half, read};
     use crate::column::Column;
     use crate::server::body::Raw;
     use crate::server::json::{Object, Vector, column};
@@ -758,5 +783,21 @@ mod tests {
         let census = Census::of(&typed);
         assert_eq!(census.objects, 0);
         assert!((2 * 4096..4 * 4096).contains(&census.bytes()), "{}", census.bytes());
+    }
+
+    /// Moved into the bits of a single, a half is too small by 2¹¹².
+    #[test]
+    fn halves_are_the_numbers_that_singles_say() {
+        const TWO_112: f64 = f64::from_bits((1023 + 112) << 52);
+        for bits in 0..=u16::MAX {
+            let single = f32::from_bits(u32::from(bits & 0x7fff) << 13 | u32::from(bits >> 15) << 31);
+            let expected = match bits & 0x7fff {
+                0x7c00 => f64::from(single.signum()) * f64::INFINITY,
+                0x7c01.. => f64::NAN,
+                _ => f64::from(single) * TWO_112,
+            };
+            let read = half(bits);
+            assert!(read.to_bits() == expected.to_bits() || (read.is_nan() && expected.is_nan()), "{bits:#06x}");
+        }
     }
 }
