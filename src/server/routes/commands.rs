@@ -22,7 +22,7 @@ use crate::server::columns::{self, Columns};
 use crate::server::config::{COMMANDS_MAX, Config, WORLDS_MAX};
 use crate::server::content::Composer;
 use crate::server::encoding::Encoding;
-use crate::server::extract::{Change, NoParameters};
+use crate::server::extract::{Bulk, Change, NoParameters};
 use crate::server::json::{self, Named, Object, Vector, WireReal, column, present};
 use crate::server::memory::PARTICLE_BYTES;
 use crate::server::problem::{Code, Problem, ProblemBody, Shape};
@@ -290,7 +290,7 @@ impl<'de: 'a, 'a> Deserialize<'de> for ByName<'a> {
 /// revision grows by one, and by none when the commands only read. Their advances together may cost what one may.
 #[utoipa::path(post, path = "/v1/worlds/{world}/commands", tag = "commands", request_body = CommandsBody,
     responses((status = 200, body = Results, headers(("etag" = String)))))]
-async fn run_commands(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+async fn run_commands(State(app): State<Arc<App>>, Bulk(change): Bulk) -> Result<Response, Problem> {
     run(&app, &change).await.map(IntoResponse::into_response)
 }
 
@@ -301,7 +301,7 @@ async fn run_commands(State(app): State<Arc<App>>, change: Change) -> Result<Res
 /// the others run.
 #[utoipa::path(post, path = "/v1/commands", tag = "commands", request_body = WorldsBody,
     responses((status = 200, body = WorldsAnswer)))]
-async fn run_commands_in_worlds(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+async fn run_commands_in_worlds(State(app): State<Arc<App>>, Bulk(change): Bulk) -> Result<Response, Problem> {
     if let Some(Err(problem)) = &change.key {
         return Err(problem.clone());
     }

@@ -13,8 +13,8 @@ use crate::command::Command;
 use crate::ids::ParticleId;
 use crate::server::App;
 use crate::server::body::{Body, Raw};
-use crate::server::extract::Change;
-use crate::server::json::{Element, Object, Vector, WireReal, column};
+use crate::server::extract::{Bulk, Change};
+use crate::server::json::{Element, Object, Vector, WireReal, column, present};
 use crate::server::problem::Problem;
 use crate::server::routes::{apply_to_many, many};
 use crate::server::slot::with_slot;
@@ -94,7 +94,7 @@ async fn apply_impulse(State(app): State<Arc<App>>, change: Change) -> Result<Re
 /// An id that is named twice gets both. All or none.
 #[utoipa::path(post, path = "/v1/worlds/{world}/forces", tag = "forces", request_body = ForcesBody,
     responses((status = 200, body = Changed, headers(("etag" = String)))))]
-async fn add_forces(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+async fn add_forces(State(app): State<Arc<App>>, Bulk(change): Bulk) -> Result<Response, Problem> {
     fn read<R: WireReal>(body: &Body) -> Result<Command<R>, Problem> {
         body.read::<Object<ForcesBody<'_>>>()?.0.command()
     }

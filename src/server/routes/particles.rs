@@ -18,7 +18,7 @@ use crate::server::body::{Body, Raw};
 use crate::server::columns::Columns;
 use crate::server::content::{Composer, Content};
 use crate::server::encoding::Encoding;
-use crate::server::extract::{Change, NoParameters, Read, page_limit};
+use crate::server::extract::{Bulk, Change, NoParameters, Read, page_limit};
 use crate::server::json::{Element, Object, Vector, WireReal, present};
 use crate::server::memory::PARTICLE_BYTES;
 use crate::server::problem::{Code, Problem, Shape};
@@ -142,7 +142,7 @@ struct StateQuery {
 /// with `count`): the answer has the first id and the count. All or none.
 #[utoipa::path(post, path = "/v1/worlds/{world}/particles", tag = "particles", request_body = CreateBody,
     responses((status = 201, body = CreateAnswer, headers(("location" = String), ("etag" = String)))))]
-async fn create_particles(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+async fn create_particles(State(app): State<Arc<App>>, Bulk(change): Bulk) -> Result<Response, Problem> {
     let any = app.slot(&change.target)?;
     let (name, encoding) = (change.target.world.clone(), change.encoding);
     with_slot!(any, slot => {
@@ -317,7 +317,7 @@ impl List {
 /// One value for all, or a list with one for each. All or none.
 #[utoipa::path(patch, path = "/v1/worlds/{world}/particles", tag = "particles", request_body = SetManyBody,
     responses((status = 200, body = Changed, headers(("etag" = String)))))]
-async fn set_particles(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+async fn set_particles(State(app): State<Arc<App>>, Bulk(change): Bulk) -> Result<Response, Problem> {
     fn read<R: WireReal>(body: &Body) -> Result<Command<R>, Problem> {
         body.read::<Object<SetManyBody<'_>>>()?.0.command()
     }
