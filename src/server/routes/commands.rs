@@ -140,12 +140,15 @@ impl<'de: 'a, 'a> Deserialize<'de> for CommandBody<'a> {
     }
 }
 
-/// Teleports: positions, velocities or both; one vector for all of the ids, or a list with one for each.
+/// Teleports: positions, velocities or both; one vector for all of the particles, or a list with one for each.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(as = Places, example = json!({"ids": [0, 2], "position": [[0.0, 1.0, 0.0], [2.0, 1.0, 0.0]]}))]
 struct PlacesBody<'a> {
-    ids: Vec<u64>,
+    /// Which particles, in the order of the lists; absent: all, in ascending order of id.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(nullable = false)]
+    ids: Option<Vec<u64>>,
     /// In metres; absent: they stay.
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<VectorColumn>, nullable = false)]
@@ -156,12 +159,15 @@ struct PlacesBody<'a> {
     velocity: Option<Raw<'a>>,
 }
 
-/// Impulses for many particles: one vector for all of the ids, or a list with one for each.
+/// Impulses for many particles: one vector for all of them, or a list with one for each.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(as = Impulses, example = json!({"ids": [0, 2], "impulse": [1.0, 0.0, 0.0]}))]
 struct ImpulsesBody<'a> {
-    ids: Vec<u64>,
+    /// Which particles, in the order of the list; absent: all, in ascending order of id.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(nullable = false)]
+    ids: Option<Vec<u64>>,
     /// In newton seconds.
     #[serde(borrow)]
     #[schema(value_type = VectorColumn)]
@@ -173,7 +179,7 @@ struct ImpulsesBody<'a> {
 #[serde(deny_unknown_fields)]
 #[schema(as = Removal, example = json!({"ids": [0, 2]}))]
 struct RemovalBody {
-    /// Each once.
+    /// Each once. They cannot be left out, as they can elsewhere: a slip would empty the world.
     ids: Vec<u64>,
 }
 
@@ -432,7 +438,7 @@ impl Kind {
             }
             Self::Remove => {
                 let Object(RemovalBody { ids }) = raw.read("")?;
-                Command::Remove { ids: selection(ids) }
+                Command::Remove { ids: selection(Some(ids)) }
             }
             Self::Advance => {
                 let (advance, properties) = raw.read::<Object<AdvanceBody>>("")?.0.in_batch()?;

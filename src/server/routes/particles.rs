@@ -314,7 +314,7 @@ impl List {
 
 /// Sets properties of many particles
 ///
-/// One value for all, or a list with one for each. All or none.
+/// One value for all, or a list with one for each; without `ids` of every particle of the world. All or none.
 #[utoipa::path(patch, path = "/v1/worlds/{world}/particles", tag = "particles", request_body = SetManyBody,
     responses((status = 200, body = Changed, headers(("etag" = String)))))]
 async fn set_particles(State(app): State<Arc<App>>, Bulk(change): Bulk) -> Result<Response, Problem> {
