@@ -288,13 +288,13 @@ fn a_batch_has_the_budget_of_one_request() {
     let [many, place, detail] = code(a, &vec![json!({"read": {}}); 6]);
     assert_eq!((many.as_str(), place.as_str()), ("limit_reached", "/commands"));
     assert!(detail.contains("--commands-max"), "{detail}");
-    assert_eq!(code(a, &[advance(60), advance(41)])[..2], ["compute_budget", "/commands/1/advance"]);
-    assert_eq!(code(a, &[create(10), advance(30), advance(21)])[..2], ["compute_budget", "/commands/2/advance"]);
+    assert_eq!(code(a, &[advance(60), advance(41)])[..2], ["compute_budget", "/commands/1/advance/steps"]);
+    assert_eq!(code(a, &[create(10), advance(30), advance(21)])[..2], ["compute_budget", "/commands/2/advance/steps"]);
     let gravitation = [create(10), json!({"set": {"gravitational_mass": 1}}), advance(5), advance(6)];
-    assert_eq!(code("/v1/worlds/b/commands", &gravitation)[..2], ["compute_budget", "/commands/3/advance"]);
+    assert_eq!(code("/v1/worlds/b/commands", &gravitation)[..2], ["compute_budget", "/commands/3/advance/steps"]);
     let long = json!({"advance": {"duration": 6}});
     assert_eq!(code(a, &[long.clone(), long])[..2], ["compute_budget", "/commands/1/advance/duration"]);
-    assert_eq!(code(a, &[create(21)])[..2], ["limit_reached", "/commands/0/create"]);
+    assert_eq!(code(a, &[create(21)])[..2], ["limit_reached", "/commands/0/create/count"]);
     assert_eq!(code(a, &[json!({"create": vec![json!({}); 60]})])[0], "limit_reached", "before it is read");
     for world in ["a", "b"] {
         assert_eq!(client.get(&format!("/v1/worlds/{world}")).json()["revision"], 0);

@@ -27,7 +27,7 @@ use crate::server::json::{self, Named, Object, Vector, WireReal, column, present
 use crate::server::memory::PARTICLE_BYTES;
 use crate::server::problem::{Code, Problem, ProblemBody, Shape};
 use crate::server::reply::Reply;
-use crate::server::routes::advance::{AdvanceBody, AdvancedBody, bytes_of_copies, check_duration};
+use crate::server::routes::advance::{self, AdvanceBody, AdvancedBody, bytes_of_copies, check_duration};
 use crate::server::routes::forces::ForcesBody;
 use crate::server::routes::particles::{CreateBody, New, read_new};
 use crate::server::slot::{Cost, Shared, with_slot};
@@ -615,7 +615,11 @@ impl<R: WireReal> Item<R> {
                 return Err(Problem::from_engine(Error::Cancelled, shape));
             }
             world.apply_in_batch(command, cancelled).map_err(|error| {
-                let problem = Problem::from_engine(error, shape);
+                let problem = if let Command::Advance(advance) = command {
+                    advance::refused(error, advance)
+                } else {
+                    Problem::from_engine(error, shape)
+                };
                 let is_shared = matches!(error, Error::LimitReached { limit, .. } if limit != Limit::Particles);
                 if is_shared { problem.adding("; the advances of a batch share the limits of one") } else { problem }
             })

@@ -186,8 +186,13 @@ pub(crate) fn read_new<R: WireReal>(body: Raw<'_>, most: u64) -> Result<New<R>, 
     }
     // Without a count the columns are those of one particle, which takes no lists: read again as such.
     let columns = body.read::<Object<ColumnsBody<'_>>>("");
-    if let Ok(Object(ColumnsBody { count: None, .. })) = columns {
-        let Object(one) = body.read::<Object<ParticleBody<R>>>("")?;
+    if let Ok(Object(columns @ ColumnsBody { count: None, .. })) = &columns {
+        let Object(one) = body.read::<Object<ParticleBody<R>>>("").map_err(|problem| {
+            // It would do for any number of particles, if it had one.
+            let needs_count = columns.particles::<R>(0).is_ok();
+            let hint = "; columns, with a value for each particle, need a count";
+            if needs_count { problem.under("").adding(hint) } else { problem }
+        })?;
         return Ok(New { particles: one.one()?, shape: Shape::Particle });
     }
     let Object(columns) = columns?;
