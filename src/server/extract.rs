@@ -182,11 +182,11 @@ impl Change {
         let refused = |unread| match unread {
             Unread::TooLarge => {
                 let why = if limit == most {
-                    format!("(--{BODY_BYTES_MAX})")
+                    format!(" (--{BODY_BYTES_MAX})")
                 } else {
-                    "which a request that does not speak of many particles may have".to_owned()
+                    ", the most of a request that does not speak of many particles".to_owned()
                 };
-                Problem::new(Code::BodyTooLarge, format!("the body is larger than {limit} bytes {why}"))
+                Problem::new(Code::BodyTooLarge, format!("the body is larger than {limit} bytes{why}"))
             }
             Unread::CutShort => Problem::new(encoding.malformed(), "the body was cut short"),
         };
