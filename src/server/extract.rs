@@ -71,6 +71,11 @@ pub(crate) struct Change {
     pub(crate) charge: Option<Charge>,
 }
 
+/// A change of many particles, whose body may be large. How large a body may be is said by what the handler of a route
+/// takes, this or a [`Change`], and by nothing in the path: a world may have any name.
+#[derive(Debug)]
+pub(crate) struct Bulk(pub(crate) Change);
+
 impl Change {
     /// Commands that came over a WebSocket.
     pub(crate) fn of_frame(app: &App, target: Target, body: Body) -> Result<Self, Problem> {
@@ -152,20 +157,36 @@ impl FromRequest<Arc<App>> for Change {
     type Rejection = Problem;
 
     async fn from_request(request: Request, state: &Arc<App>) -> Result<Self, Problem> {
+        Self::read(request, state, false).await
+    }
+}
+
+impl FromRequest<Arc<App>> for Bulk {
+    type Rejection = Problem;
+
+    async fn from_request(request: Request, state: &Arc<App>) -> Result<Self, Problem> {
+        Change::read(request, state, true).await.map(Self)
+    }
+}
+
+impl Change {
+    async fn read(request: Request, state: &Arc<App>, is_bulk: bool) -> Result<Self, Problem> {
         let (mut parts, body) = request.into_parts();
         let answer = Encoding::accepted(&parts.headers)?;
         let encoding = check_content(&parts.headers)?;
         let target = target(&mut parts, state).await?;
-        // Only what can speak of many particles has a large body.
-        let is_bulk = ["/particles", "/forces", "/commands"].iter().any(|end| parts.uri.path().ends_with(end));
-        let limit = state.config.body_bytes_max;
-        let limit = if is_bulk { limit } else { limit.min(SMALL_BODY_BYTES_MAX) };
+        let most = state.config.body_bytes_max;
+        let limit = if is_bulk { most } else { most.min(SMALL_BODY_BYTES_MAX) };
         let mut charge = Charge::none(&state.shared.in_flight);
         let reading = Reading { limit, byte_bytes: encoding.byte_bytes(), piece_bytes: 0 };
         let refused = |unread| match unread {
             Unread::TooLarge => {
-                let detail = format!("the body is larger than {limit} bytes (--{BODY_BYTES_MAX})");
-                Problem::new(Code::BodyTooLarge, detail)
+                let why = if limit == most {
+                    format!(" (--{BODY_BYTES_MAX})")
+                } else {
+                    ", the most of a request that does not speak of many particles".to_owned()
+                };
+                Problem::new(Code::BodyTooLarge, format!("the body is larger than {limit} bytes{why}"))
             }
             Unread::CutShort => Problem::new(encoding.malformed(), "the body was cut short"),
         };

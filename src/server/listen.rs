@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::convert::Infallible;
 use std::io;
-use std::net::{IpAddr, SocketAddr};
+use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -38,13 +38,23 @@ pub enum Listener {
 /// Why the service does not listen.
 #[derive(Debug, thiserror::Error)]
 pub enum ListenError {
+    /// It is not written as an address is.
+    #[error("cannot listen on {address}: {remedy}")]
+    NotAnAddress {
+        /// As given.
+        address: String,
+        /// What to write.
+        remedy: String,
+    },
     /// The system refused.
-    #[error("cannot listen on {address}: {source}")]
+    #[error("cannot listen on {address}: {source}{remedy}")]
     Refused {
         /// As given.
         address: String,
         /// What the system says.
         source: io::Error,
+        /// What to do about it, if that is known.
+        remedy: &'static str,
     },
     /// Reachable from elsewhere, and nobody is asked who they are.
     #[error(
@@ -56,7 +66,7 @@ pub enum ListenError {
         address: String,
     },
     /// Another process listens there.
-    #[error("cannot listen on {address}: a service answers there already")]
+    #[error("cannot listen on {address}: a service answers there already; stop it, or choose another path")]
     InUse {
         /// As given.
         address: String,
@@ -67,19 +77,26 @@ impl Listener {
     /// Binds `host:port` or `unix:PATH`.
     ///
     /// # Errors
-    /// When the system refuses, or the address is beyond loopback while the configuration asks nobody for a token.
+    /// When it is none of these, when the system refuses, or when the address is beyond loopback while the configuration
+    /// asks nobody for a token.
     pub async fn bind(address: &str, config: &Config) -> Result<Self, ListenError> {
-        let refused = |source| ListenError::Refused { address: address.to_owned(), source };
+        let refused_with = |remedies: &'static [Remedy]| {
+            move |source: io::Error| {
+                let known = remedies.iter().find(|(kinds, _)| kinds.is_empty() || kinds.contains(&source.kind()));
+                ListenError::Refused { address: address.to_owned(), source, remedy: known.map_or("", |known| known.1) }
+            }
+        };
         if let Some(path) = address.strip_prefix("unix:") {
             return match bind_unix(Path::new(path)).await {
                 Err(error) if error.kind() == io::ErrorKind::AddrInUse => {
                     Err(ListenError::InUse { address: address.to_owned() })
                 }
-                bound => bound.map_err(refused),
+                bound => bound.map_err(refused_with(&OF_PATHS)),
             };
         }
+        check_form(address).map_err(|remedy| ListenError::NotAnAddress { address: address.to_owned(), remedy })?;
         let open = !config.has_tokens() && !config.insecure_no_auth;
-        let addresses: Vec<_> = tokio::net::lookup_host(address).await.map_err(refused)?.collect();
+        let addresses: Vec<_> = tokio::net::lookup_host(address).await.map_err(refused_with(&OF_NAMES))?.collect();
         if open && !addresses.iter().all(|address| address.ip().is_loopback()) {
             return Err(ListenError::Open { address: address.to_owned() });
         }
@@ -90,7 +107,7 @@ impl Listener {
                 Err(error) => failure = error,
             }
         }
-        Err(refused(failure))
+        Err(refused_with(&OF_ADDRESSES)(failure))
     }
 
     /// Where it listens: `http://host:port` with the port that the system chose for port 0, or `unix:PATH`.
@@ -104,6 +121,61 @@ impl Listener {
         }
     }
 }
+
+/// Refuses what is not `host:port`, and says what to write.
+fn check_form(address: &str) -> Result<(), String> {
+    let scheme = address.strip_prefix("http://").or_else(|| address.strip_prefix("https://"));
+    if let Some(rest) = scheme {
+        let address = rest.trim_end_matches('/');
+        check_form(address)?;
+        return Err(format!("an address has no scheme; write --listen {address}"));
+    }
+    if address.starts_with(['/', '.']) {
+        return Err(format!("for a Unix socket write --listen unix:{address}"));
+    }
+    if address.parse::<Ipv6Addr>().is_ok() {
+        return Err(format!("an IPv6 address stands in brackets, before its port; write --listen [{address}]:8080"));
+    }
+    let is_port = |text: &str| text.parse::<u16>().is_ok();
+    let (host, port) = match address.rsplit_once(':') {
+        Some((host, port)) if !address.ends_with(']') => (host, port),
+        _ if address.is_empty() => ("", "8080"),
+        _ if is_port(address) => ("", address),
+        _ => {
+            let form = "an address has a host and a port, like 127.0.0.1:8080";
+            return Err(format!("{form}; write --listen {address}:8080"));
+        }
+    };
+    if !is_port(port) {
+        return Err(format!("a port is a number from 0 to 65535; write --listen {host}:8080, for example"));
+    }
+    if host.is_empty() || host == "*" {
+        let own = format!("--listen 127.0.0.1:{port} for clients on this machine");
+        return Err(format!("an address has a host; write {own}, --listen 0.0.0.0:{port} for all"));
+    }
+    Ok(())
+}
+
+/// What to do about errors of these kinds, or about any.
+type Remedy = (&'static [io::ErrorKind], &'static str);
+
+const OF_NAMES: [Remedy; 1] =
+    [(&[], "; a host is an IP address of this machine or a name that has one, like 127.0.0.1 or localhost")];
+
+const OF_ADDRESSES: [Remedy; 3] = [
+    (&[io::ErrorKind::AddrInUse], "; stop what listens there, or choose another port: 0 takes any that is free"),
+    (
+        &[io::ErrorKind::AddrNotAvailable],
+        "; no interface of this machine has this address, 0.0.0.0 stands for all of them",
+    ),
+    (&[io::ErrorKind::PermissionDenied], "; ports below 1024 are for the superuser, choose a higher one"),
+];
+
+const OF_PATHS: [Remedy; 3] = [
+    (&[io::ErrorKind::NotFound], "; its folder must exist"),
+    (&[io::ErrorKind::PermissionDenied], "; the service must be allowed to write in its folder"),
+    (&[io::ErrorKind::AlreadyExists], "; choose another path, or remove it"),
+];
 
 /// A socket with room for as many clients that wait to be accepted as may be connected: where the system has less, a
 /// client whose call is dropped tries again after a second.

@@ -59,11 +59,17 @@ pub(crate) struct Template {
     /// By which it is told from the others.
     number: usize,
     text: Arc<str>,
+    methods: Arc<str>,
 }
 
 impl Template {
     pub(crate) fn text(&self) -> &str {
         &self.text
+    }
+
+    /// Those that the route has, separated by commas.
+    pub(crate) fn methods(&self) -> &str {
+        &self.methods
     }
 }
 
@@ -88,11 +94,11 @@ impl EncodeLabelValue for Template {
 }
 
 impl Metrics {
-    /// With the templates of all routes.
-    pub(crate) fn new(templates: impl Iterator<Item = String>) -> Self {
+    /// With the templates of all routes, and their methods.
+    pub(crate) fn new(templates: impl Iterator<Item = (String, String)>) -> Self {
         let mut routes = matchit::Router::new();
-        for (number, template) in templates.enumerate() {
-            let label = Template { number, text: template.as_str().into() };
+        for (number, (template, methods)) in templates.enumerate() {
+            let label = Template { number, text: template.as_str().into(), methods: methods.into() };
             routes.insert(template, label).expect("the router of the service takes the same templates");
         }
         Self {
@@ -104,7 +110,7 @@ impl Metrics {
             particles_skipped: Counter::default(),
             connections: Gauge::default(),
             routes,
-            no_route: Template { number: usize::MAX, text: "none".into() },
+            no_route: Template { number: usize::MAX, text: "none".into(), methods: "".into() },
         }
     }
 

@@ -36,7 +36,10 @@ use std::sync::{Arc, RwLock};
 
 use axum::Router;
 use axum::body::Bytes;
+use axum::extract::State;
+use axum::http::{Method, Uri};
 use tokio::sync::Notify;
+use utoipa::openapi::PathItem;
 use utoipa_axum::router::OpenApiRouter;
 
 pub use access::{AccessError, Tokens};
@@ -98,7 +101,7 @@ impl App {
             tokens: config.has_tokens().then(|| Tokens::of(&config)).transpose()?.map(RwLock::new),
             worlds: Registry::new(config.worlds_max),
             shared: Arc::new(slot::Shared::new(&config).map_err(StartError::Threads)?),
-            metrics: Metrics::new(description.paths.paths.keys().cloned()),
+            metrics: Metrics::new(description.paths.paths.iter().map(|(path, item)| (path.clone(), methods(item)))),
             draining: AtomicBool::new(false),
             drain: Notify::new(),
             in_flight: front::InFlight::default(),
@@ -139,6 +142,30 @@ fn documented_routes() -> OpenApiRouter<Arc<App>> {
         .merge(routes::service::routes())
 }
 
+/// The methods that a path has.
+fn methods(item: &PathItem) -> String {
+    let described = [
+        ("GET, HEAD", &item.get),
+        ("PUT", &item.put),
+        ("POST", &item.post),
+        ("PATCH", &item.patch),
+        ("DELETE", &item.delete),
+    ];
+    let names: Vec<&str> =
+        described.into_iter().filter(|(_, operation)| operation.is_some()).map(|(name, _)| name).collect();
+    names.join(", ")
+}
+
+async fn method_not_allowed(State(app): State<Arc<App>>, method: Method, uri: Uri) -> Problem {
+    match app.metrics.template(uri.path()) {
+        Some(route) => {
+            let detail = format!("{method} is not a method of this path; it has {}", route.methods());
+            Problem::new(Code::MethodNotAllowed, detail)
+        }
+        None => Problem::plain(Code::MethodNotAllowed),
+    }
+}
+
 /// The service as a function of requests, without a network.
 pub fn service(app: &Arc<App>) -> Front {
     let (routes, _) = documented_routes().split_for_parts();
@@ -148,7 +175,7 @@ pub fn service(app: &Arc<App>) -> Front {
 fn in_front_of(routes: Router<Arc<App>>, app: &Arc<App>) -> Front {
     let routes = routes
         .fallback(|| async { Problem::plain(Code::UnknownRoute) })
-        .method_not_allowed_fallback(|| async { Problem::plain(Code::MethodNotAllowed) });
+        .method_not_allowed_fallback(method_not_allowed);
     let routes = match access::cors(&app.config) {
         Some(cors) => routes.layer(cors),
         None => routes,

@@ -170,7 +170,7 @@ impl Code {
             Self::UnknownRoute => ("unknown_route", S::NOT_FOUND, "Unknown route",
                 "There is nothing at this path. GET /openapi.json lists every route."),
             Self::MethodNotAllowed => ("method_not_allowed", S::METHOD_NOT_ALLOWED, "Method not allowed",
-                "The path exists, with other methods: the Allow header names them."),
+                "The path exists, with other methods: the sentence and the Allow header name them."),
             Self::NotAcceptable => ("not_acceptable", S::NOT_ACCEPTABLE, "Not acceptable",
                 "The answer would be application/json or application/cbor (a snapshot application/octet-stream, a stream text/event-stream or \
                  application/jsonl), and the Accept header excludes it."),
@@ -195,7 +195,7 @@ impl Code {
             Self::RevisionMismatch => ("revision_mismatch", S::PRECONDITION_FAILED, "The world has changed",
                 "If-Match names a revision that is not the present one. Read the world again and decide anew."),
             Self::WorldExists => ("world_exists", S::CONFLICT, "The world exists",
-                "Choose another name, or delete the world first."),
+                "Choose another name, change the settings of the world with PATCH, or DELETE it first."),
             Self::IdempotencyKeyInFlight => ("idempotency_key_in_flight", S::CONFLICT, "Still in flight",
                 "The first request with this Idempotency-Key has not ended. Ask again when it has."),
             Self::IdempotencyKeyReused => ("idempotency_key_reused", MEANING, "Idempotency-Key of another request",
@@ -360,6 +360,11 @@ impl Problem {
         Self { pointer: Some(format!("{prefix}{}", self.pointer.unwrap_or_default())), ..self }
     }
 
+    /// The same with this pointer into the body.
+    pub(crate) fn pointing_to(self, pointer: &str) -> Self {
+        Self { pointer: Some(pointer.to_owned()), ..self }
+    }
+
     /// The same with more to say.
     pub(crate) fn adding(self, more: &str) -> Self {
         Self { detail: self.detail + more, ..self }
@@ -425,7 +430,11 @@ impl Problem {
                     Limit::ParticleSteps => (Code::ComputeBudget, config::PARTICLE_STEPS_MAX),
                     Limit::Interactions => (Code::ComputeBudget, config::INTERACTIONS_MAX),
                 };
-                Self::new(code, format!("{detail} (--{flag})"))
+                let detail = format!("{detail} (--{flag})");
+                match (limit, shape) {
+                    (Limit::Particles, Shape::Columns) => Self::at(code, "/count", detail),
+                    _ => Self::new(code, detail),
+                }
             }
             Error::Cancelled => Self::plain(Code::ShuttingDown),
         }

@@ -91,6 +91,16 @@ impl<R: WireReal> Parts<R> {
         })
     }
 
+    /// The way to a force that is asked for.
+    pub(crate) fn pointer_to_force(&self) -> Option<&'static str> {
+        let Some(Some(Object(ForcesBody { drag, gravitation }))) = &self.forces else { return None };
+        match (drag, gravitation) {
+            (Some(Some(_)), _) => Some("/forces/drag"),
+            (_, Some(Some(_))) => Some("/forces/gravitation"),
+            _ => None,
+        }
+    }
+
     /// The new values, where these are the old ones.
     pub(crate) fn over(self, old: &Settings<R>) -> (Forces<R>, Tolerance) {
         let forces = match self.forces {

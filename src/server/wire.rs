@@ -425,7 +425,7 @@ impl ColumnsBody<'_> {
 #[serde(deny_unknown_fields)]
 #[schema(as = SetParticles, example = json!({"ids": [0, 2], "damping": 0.9, "mass": [1.5, 2.5]}))]
 pub(crate) struct SetManyBody<'a> {
-    /// Which particles; absent: all.
+    /// Which particles, in the order of the lists; absent: all, in ascending order of id.
     #[serde(default, deserialize_with = "present")]
     #[schema(nullable = false)]
     ids: Option<Vec<u64>>,
@@ -468,7 +468,7 @@ impl SetManyBody<'_> {
             drag: optional_column::<Option<DragPair<R>>>(self.drag, "drag")?,
             gravitational_mass: optional_column::<Option<R>>(self.gravitational_mass, "gravitational_mass")?,
         };
-        Ok(Command::Set { ids: self.ids.map_or(Selection::All, selection), properties })
+        Ok(Command::Set { ids: selection(self.ids), properties })
     }
 }
 
@@ -536,8 +536,9 @@ fn refuse_state(position: bool, velocity: bool) -> Result<(), Problem> {
     Ok(())
 }
 
-pub(crate) fn selection(ids: Vec<u64>) -> Selection {
-    Selection::Ids(ids.into_iter().map(ParticleId).collect())
+/// The particles with these ids; absent: all.
+pub(crate) fn selection(ids: Option<Vec<u64>>) -> Selection {
+    ids.map_or(Selection::All, |ids| Selection::Ids(ids.into_iter().map(ParticleId).collect()))
 }
 
 pub(crate) fn optional_column<E: Element>(

@@ -282,10 +282,20 @@ fn every_option_has_a_variable_and_stands_in_the_help() {
 
 #[test]
 fn wrong_words_are_explained() {
+    let other = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let in_use = other.local_addr().expect("bound").to_string();
     for (arguments, code, words) in [
-        (&["--listen", "nonsense"][..], 1, "cannot listen on nonsense"),
-        (&["--listen", "127.0.0.1:99999"], 1, "cannot listen on 127.0.0.1:99999"),
-        (&["--listen", "unix:/nowhere/at/all.sock"], 1, "cannot listen on unix:/nowhere/at/all.sock"),
+        (
+            &["--listen", "127.0.0.1:99999"][..],
+            1,
+            "cannot listen on 127.0.0.1:99999: a port is a number from 0 to 65535",
+        ),
+        (&["--listen", "in valid:8080"], 1, "a host is an IP address of this machine or a name that has one"),
+        (&["--listen", "203.0.113.7:0", "--insecure-no-auth"], 1, "no interface of this machine has this address"),
+        (&["--listen", &in_use], 1, "stop what listens there, or choose another port: 0 takes any that is free"),
+        (&["--listen", "unix:/nowhere/at/all.sock"], 1, "its folder must exist"),
+        (&["--allow-host", "http://physics.example"], 2, "is not a name like physics.example"),
+        (&["--allow-host", "physics.example:8080"], 2, "without scheme and port"),
         (&["--token-file", "/nowhere/tokens"], 1, "cannot read the token file /nowhere/tokens"),
         (&["--threads", "0"], 2, "must be at least 1"),
         (&["--steps-max", "many"], 2, "--steps-max"),
@@ -301,6 +311,69 @@ fn wrong_words_are_explained() {
         let message = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
         assert!(message.contains(words), "{arguments:?}: {message}");
+    }
+}
+
+/// What is nearly an address is answered with the address.
+#[test]
+fn what_is_no_address_is_answered_with_what_to_write() {
+    for (address, right) in [
+        ("8080", "write --listen 127.0.0.1:8080 for clients on this machine, --listen 0.0.0.0:8080 for all"),
+        (":8080", "write --listen 127.0.0.1:8080 for clients on this machine, --listen 0.0.0.0:8080 for all"),
+        ("*:9000", "write --listen 127.0.0.1:9000 for clients on this machine, --listen 0.0.0.0:9000 for all"),
+        ("", "write --listen 127.0.0.1:8080 for clients on this machine, --listen 0.0.0.0:8080 for all"),
+        ("localhost", "like 127.0.0.1:8080; write --listen localhost:8080"),
+        ("127.0.0.1", "like 127.0.0.1:8080; write --listen 127.0.0.1:8080"),
+        ("nonsense", "like 127.0.0.1:8080; write --listen nonsense:8080"),
+        ("[::1]", "like 127.0.0.1:8080; write --listen [::1]:8080"),
+        ("::1", "write --listen [::1]:8080"),
+        ("localhost:", "write --listen localhost:8080, for example"),
+        ("localhost:http", "write --listen localhost:8080, for example"),
+        ("http://127.0.0.1:8080", "write --listen 127.0.0.1:8080"),
+        ("http://localhost", "write --listen localhost:8080"),
+        ("https://localhost:8080/", "write --listen localhost:8080"),
+        ("/run/pointmass.sock", "write --listen unix:/run/pointmass.sock"),
+    ] {
+        let output = output(&["--listen", address]);
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(1), "{address}: {message}");
+        assert!(message.starts_with(&format!("pointmass: cannot listen on {address}: ")), "{address}: {message}");
+        assert!(message.trim_end().ends_with(right), "{address}: {message}");
+    }
+}
+
+/// The help has its options in groups; the short one has what a newcomer needs, and says where the rest is.
+#[test]
+fn the_help_is_in_groups() {
+    let help = |arguments: &[&str]| String::from_utf8_lossy(&output(arguments).stdout).into_owned();
+    let headings = |help: &str| -> Vec<String> {
+        let lines = help.lines().filter_map(|line| line.strip_suffix(':')).filter(|line| !line.starts_with(' '));
+        lines.map(str::to_owned).filter(|line| line != "Commands").collect()
+    };
+    for command in [&[][..], &["serve"]] {
+        let (long, short) = (help(&[command, &["--help"]].concat()), help(&[command, &["-h"]].concat()));
+        let groups = [
+            "Options",
+            "Listening",
+            "Access",
+            "Logging",
+            "Threads",
+            "Limits of worlds",
+            "Limits of the work of a request",
+            "Limits of sizes",
+            "Queues",
+            "Requests that are sent again",
+            "Connections",
+            "Timeouts",
+        ];
+        assert_eq!(headings(&long), groups, "{long}");
+        assert_eq!(headings(&short), groups[..4], "{short}");
+        assert!(short.contains("--listen") && short.contains("--token-file") && !short.contains("-max"), "{short}");
+        assert!(short.contains("Print help (see more with '--help')"), "{short}");
+        // No option stands outside of them.
+        let ungrouped = long.split("\nListening:").next().and_then(|long| long.split("\nOptions:").nth(1));
+        let own = ungrouped.expect("both").lines().filter(|line| line.trim_start().starts_with('-'));
+        assert!(own.map(str::trim).all(|line| line.starts_with("-h") || line.starts_with("-V")), "{long}");
     }
 }
 

@@ -153,12 +153,62 @@ fn a_tick_is_one_request() {
     assert_eq!(client.get("/v1/worlds/tick").json()["revision"], 2);
 }
 
+/// Who names no particles means all of them, in ascending order of id: in a request of its own, in a batch, and where
+/// there are none.
+#[test]
+fn without_ids_all_are_meant() {
+    let mut client = service().client();
+    let [named, all] = &["named", "all"].map(|name| format!("/v1/worlds/each-{name}"));
+    for path in [named, all] {
+        client.put(path, "").expect(201);
+    }
+    let each = json!([[1, 0, 0], [0, 2, 0], [0, 0, 3]]);
+    let list = |ids: &Value| {
+        let with_ids = |mut command: Value, name: &str| {
+            if !ids.is_null() {
+                command["ids"] = ids.clone();
+            }
+            json!({ name: command })
+        };
+        commands(&[
+            with_ids(json!({ "force": each }), "add_force"),
+            with_ids(json!({"force": [4, 5, 6]}), "add_force"),
+            with_ids(json!({ "impulse": each }), "impulse"),
+            with_ids(json!({"position": [7, 8, 9], "velocity": each}), "place"),
+            with_ids(json!({"damping": [1, 0.5, 0.25]}), "set"),
+            json!({"advance": {"duration": 0.5}}),
+            with_ids(json!({ "impulse": each }), "impulse"),
+            with_ids(json!({}), "read"),
+        ])
+    };
+    // Where there is no particle, all of them are none.
+    client.post(&format!("{all}/forces"), r#"{"force":[1,2,3]}"#).expect(200);
+    let none = client.post(&format!("{all}/forces"), r#"{"force":[]}"#).expect(200).json();
+    assert_eq!(none, json!({"count": 0, "revision": 2}));
+    for path in [named, all] {
+        client.post(&format!("{path}/particles"), r#"{"count":4}"#).expect(201);
+        client.delete(&format!("{path}/particles/1")).expect(204);
+    }
+    let ids = json!([0, 2, 3]);
+    let forces = json!({ "force": each });
+    assert_eq!(client.post(&format!("{all}/forces"), &forces.to_string()).expect(200).json()["count"], 3);
+    let mut forces = forces;
+    forces["ids"] = ids.clone();
+    client.post(&format!("{named}/forces"), &forces.to_string()).expect(200);
+    let answers = [(named, list(&ids)), (all, list(&Value::Null))]
+        .map(|(path, list)| client.post(&format!("{path}/commands"), &list).expect(200).json()["results"].clone());
+    assert_eq!(answers[0], answers[1]);
+    assert_eq!(answers[1][6], json!({"count": 3}));
+    let digests = [named, all].map(|path| client.get(&format!("{path}/digest")).json()["digest"].clone());
+    assert_eq!(digests[0], digests[1]);
+}
+
 /// Whatever is refused, and wherever in the batch: the world is as it was, to the bit.
 #[test]
 fn a_refused_command_undoes_those_before_it() {
     let good = [
         json!({"add_force": {"ids": [0, 1], "force": [1, 2, 3]}}),
-        json!({"add_force": {"ids": [1], "force": [1, 2, 3]}}),
+        json!({"add_force": {"force": [1, 2, 3]}}),
         json!({"advance": {"duration": 0.25}}),
         json!({"read": {}}),
         json!({"create": {"count": 3, "damping": [1, 0.5, 0.25]}}),
@@ -175,6 +225,7 @@ fn a_refused_command_undoes_those_before_it() {
         (json!({"advance": {"duration": 1e200}}), "clock_out_of_range", "/advance/duration"),
         (json!({"advance": {"duration": 1e20}}), "diverged", "/advance"),
         (json!({"remove": {"ids": [0, 0]}}), "removed_twice", "/remove/ids/1"),
+        (json!({"add_force": {"force": [[1, 0, 0]]}}), "length_mismatch", "/add_force/force"),
         (json!({"place": {"ids": [0]}}), "missing_field", "/place"),
         (json!({"create": [{}, {"mass": 0}]}), "mass_not_positive", "/create/1/mass"),
     ];
@@ -237,13 +288,13 @@ fn a_batch_has_the_budget_of_one_request() {
     let [many, place, detail] = code(a, &vec![json!({"read": {}}); 6]);
     assert_eq!((many.as_str(), place.as_str()), ("limit_reached", "/commands"));
     assert!(detail.contains("--commands-max"), "{detail}");
-    assert_eq!(code(a, &[advance(60), advance(41)])[..2], ["compute_budget", "/commands/1/advance"]);
-    assert_eq!(code(a, &[create(10), advance(30), advance(21)])[..2], ["compute_budget", "/commands/2/advance"]);
+    assert_eq!(code(a, &[advance(60), advance(41)])[..2], ["compute_budget", "/commands/1/advance/steps"]);
+    assert_eq!(code(a, &[create(10), advance(30), advance(21)])[..2], ["compute_budget", "/commands/2/advance/steps"]);
     let gravitation = [create(10), json!({"set": {"gravitational_mass": 1}}), advance(5), advance(6)];
-    assert_eq!(code("/v1/worlds/b/commands", &gravitation)[..2], ["compute_budget", "/commands/3/advance"]);
+    assert_eq!(code("/v1/worlds/b/commands", &gravitation)[..2], ["compute_budget", "/commands/3/advance/steps"]);
     let long = json!({"advance": {"duration": 6}});
     assert_eq!(code(a, &[long.clone(), long])[..2], ["compute_budget", "/commands/1/advance/duration"]);
-    assert_eq!(code(a, &[create(21)])[..2], ["limit_reached", "/commands/0/create"]);
+    assert_eq!(code(a, &[create(21)])[..2], ["limit_reached", "/commands/0/create/count"]);
     assert_eq!(code(a, &[json!({"create": vec![json!({}); 60]})])[0], "limit_reached", "before it is read");
     for world in ["a", "b"] {
         assert_eq!(client.get(&format!("/v1/worlds/{world}")).json()["revision"], 0);

@@ -205,8 +205,9 @@ impl<R: Number> Lockstep<R> {
         let of = |id: u64, rest: &str| format!("{}/particles/{id}{rest}", self.path);
         let ids: Vec<u64> = (0..s[1] % 4).map(|k| self.id(s[2].rotate_left(9 * k as u32))).collect();
         let selected = Selection::Ids(ids.iter().copied().map(ParticleId).collect());
-        let each =
-            |seed: u64| -> Vec<[R; 3]> { (0..ids.len()).map(|k| vector(seed.rotate_left(7 * k as u32))).collect() };
+        let each = |seed: u64, count: usize| -> Vec<[R; 3]> {
+            (0..count).map(|k| vector(seed.rotate_left(7 * k as u32))).collect()
+        };
         let own = (!s[2].is_multiple_of(3)).then(|| vector::<R>(s[2]));
         let particles = format!("{}/particles", self.path);
         match step.kind {
@@ -287,9 +288,16 @@ impl<R: Number> Lockstep<R> {
                 (command, "POST", of(id, "/force"), json!({"force": vector::<R>(s[1])}))
             }
             8 => {
-                let forces = each(s[3]);
-                let json = json!({"ids": ids, "force": forces});
-                let force = Column::PerParticle(forces.into_iter().map(Into::into).collect());
+                // Who names no particles means all of them.
+                let all = s[0].is_multiple_of(3);
+                let (ids, selected) = if all { (&self.ids, Selection::All) } else { (&ids, selected) };
+                let (force, json) = if s[4].is_multiple_of(3) {
+                    (Column::Uniform(vector::<R>(s[3]).into()), json!({ "force": vector::<R>(s[3]) }))
+                } else {
+                    let forces = each(s[3], ids.len());
+                    (Column::PerParticle(forces.iter().map(|f| (*f).into()).collect()), json!({ "force": forces }))
+                };
+                let json = if all { json } else { merged(json, json!({ "ids": ids })) };
                 (Command::AddForce { ids: selected, force }, "POST", format!("{}/forces", self.path), json)
             }
             9 => {
@@ -367,7 +375,12 @@ impl<R: Number> Lockstep<R> {
 
     /// The command, and the member of a batch that says the same; a batch does not configure.
     pub(crate) fn member(&self, step: &Step) -> Option<(Command<R>, Value)> {
-        let (command, _, _, json) = self.translate(step);
+        let (mut command, _, _, json) = self.translate(step);
+        if step.seeds[3].is_multiple_of(3)
+            && let Command::Impulse { ids, .. } | Command::Place { ids, .. } = &mut command
+        {
+            *ids = Selection::All;
+        }
         let (name, ids) = match &command {
             Command::Create(_) => ("create", None),
             Command::Place { ids, .. } => ("place", Some(ids)),

@@ -1,10 +1,11 @@
 //! Every refusal as a row: what is sent, and the status, code and pointer that come back. A refused request changes
 //! nothing, and each code of the service is seen at least once.
 
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 
 use serde_json::Value;
 
+use crate::openapi::operations;
 use crate::service::{Client, Service};
 
 type Row = (&'static str, &'static str, &'static str, u16, &'static str, Option<&'static str>);
@@ -90,6 +91,8 @@ const ROWS: &[Row] = &[
     ("POST", "@/particles/0/place", "{}", 422, "missing_field", None),
     ("POST", "@/forces", "{\"ids\":[0.0],\"force\":[1,0,0]}", 422, "invalid_field", Some("/ids/0")),
     ("POST", "@/forces", "{\"ids\":[0]}", 422, "missing_field", Some("/force")),
+    ("POST", "@/forces", "{\"ids\":null,\"force\":[1,0,0]}", 422, "invalid_field", Some("/ids")),
+    ("POST", "@/forces", "{\"force\":[[1,0,0],[1,0,0]]}", 422, "length_mismatch", Some("/force")),
     ("POST", "@/advance", "{}", 422, "missing_field", Some("/duration")),
     ("POST", "@/advance", "{\"duration\":1,\"steps\":1.0}", 422, "invalid_field", Some("/steps")),
     ("POST", "@/advance", "{\"duration\":1,\"steps\":null}", 422, "invalid_field", Some("/steps")),
@@ -148,20 +151,21 @@ const ROWS: &[Row] = &[
     ("POST", "@/advance", "{\"duration\":1,\"steps\":0}", 422, "steps_not_positive", Some("/steps")),
     ("POST", "@/advance", "{\"duration\":1,\"steps\":2,\"max_step\":1}", 422, "steps_and_max_step", Some("/max_step")),
     ("POST", "@/advance", "{\"duration\":1,\"max_step\":0}", 422, "max_step_not_positive", Some("/max_step")),
-    ("POST", "@/advance", "{\"duration\":1,\"steps\":1000001}", 422, "compute_budget", None),
-    ("POST", "@/advance", "{\"duration\":1,\"max_step\":1e-7}", 422, "compute_budget", None),
-    ("POST", "@/advance", "{\"duration\":1,\"max_step\":5e-324}", 422, "compute_budget", None),
+    ("POST", "@/advance", "{\"duration\":1,\"steps\":1000001}", 422, "compute_budget", Some("/steps")),
+    ("POST", "@/advance", "{\"duration\":1,\"max_step\":1e-7}", 422, "compute_budget", Some("/max_step")),
+    ("POST", "@/advance", "{\"duration\":1,\"max_step\":5e-324}", 422, "compute_budget", Some("/max_step")),
     ("POST", "@/advance", "{\"duration\":1e100,\"steps\":4}", 422, "diverged", None),
     ("POST", "%/advance", "{\"duration\":1e30}", 422, "diverged", None),
     ("PATCH", "@", "{\"max_step\":0}", 422, "max_step_not_positive", Some("/max_step")),
     ("PATCH", "@", "{\"max_step\":-1}", 422, "max_step_not_positive", Some("/max_step")),
-    ("PATCH", "@", "{\"damping_law\":\"per_step\",\"integrator\":\"exact\"}", 422, "integrator_cannot_serve_damping", None),
-    ("PUT", "/v1/worlds/fresh", "{\"damping_law\":\"per_step\"}", 422, "integrator_cannot_serve_damping", None),
+    ("PATCH", "@", "{\"damping_law\":\"per_step\",\"integrator\":\"exact\"}", 422, "integrator_cannot_serve_damping", Some("/damping_law")),
+    ("PUT", "/v1/worlds/fresh", "{\"damping_law\":\"per_step\"}", 422, "integrator_cannot_serve_damping", Some("/damping_law")),
     ("PUT", "/v1/worlds/fresh", "{\"max_step\":0}", 422, "max_step_not_positive", Some("/max_step")),
     // Forces.
-    ("PUT", "/v1/worlds/fresh", "{\"forces\":{\"drag\":{}}}", 422, "integrator_cannot_serve_forces", None),
-    ("PATCH", "@", "{\"forces\":{\"gravitation\":{}},\"integrator\":\"exact\"}", 422, "integrator_cannot_serve_forces", None),
-    ("PATCH", "~", "{\"integrator\":\"exact\"}", 422, "integrator_cannot_serve_forces", None),
+    ("PUT", "/v1/worlds/fresh", "{\"forces\":{\"drag\":{}}}", 422, "integrator_cannot_serve_forces", Some("/forces/drag")),
+    ("PATCH", "@", "{\"forces\":{\"gravitation\":{}},\"integrator\":\"exact\"}", 422, "integrator_cannot_serve_forces", Some("/forces/gravitation")),
+    ("PATCH", "~", "{\"integrator\":\"exact\"}", 422, "integrator_cannot_serve_forces", Some("/integrator")),
+    ("PATCH", "~", "{\"integrator\":\"exact\",\"forces\":{\"drag\":null}}", 422, "integrator_cannot_serve_forces", Some("/integrator")),
     ("PUT", "/v1/worlds/fresh", "{\"forces\":1}", 422, "invalid_field", Some("/forces")),
     ("PUT", "/v1/worlds/fresh", "{\"forces\":[null,null]}", 422, "invalid_field", Some("/forces")),
     ("PUT", "/v1/worlds/fresh", "{\"forces\":{\"wind\":{}}}", 422, "unknown_field", Some("/forces/wind")),
@@ -210,7 +214,7 @@ const ROWS: &[Row] = &[
     ("POST", "~/particles", "[{},{\"damping\":0}]", 422, "integrator_cannot_serve_damping", Some("/1/damping")),
     ("PATCH", "~/particles", "{\"damping\":[1,0]}", 422, "integrator_cannot_serve_damping", Some("/damping/1")),
     ("PATCH", "~/particles/0", "{\"damping\":0}", 422, "integrator_cannot_serve_damping", Some("/damping")),
-    ("PATCH", "@", "{\"integrator\":\"rk4\",\"damping_law\":\"per_step\"}", 422, "integrator_cannot_serve_damping", None),
+    ("PATCH", "@", "{\"integrator\":\"rk4\",\"damping_law\":\"per_step\"}", 422, "integrator_cannot_serve_damping", Some("/damping_law")),
     ("POST", "~/advance", "{\"duration\":1,\"steps\":2}", 422, "integrator_takes_no_steps", Some("/steps")),
     ("POST", "@/advance", "{\"duration\":1,\"report_error\":1}", 422, "invalid_field", Some("/report_error")),
     ("POST", "@/advance", "{\"duration\":1,\"until\":null}", 422, "invalid_field", Some("/until")),
@@ -253,7 +257,15 @@ const ROWS: &[Row] = &[
     ("POST", "@/commands", "{\"commands\":[{\"set\":{\"mass\":1,\"inverse_mass\":1}}]}", 422, "mass_and_inverse_mass", Some("/commands/0/set/inverse_mass")),
     ("POST", "@/commands", "{\"commands\":[{\"create\":{}},{\"create\":[{},{\"mass\":1,\"mass\":1}]}]}", 422, "duplicate_field", Some("/commands/1/create/1/mass")),
     ("POST", "@/commands", "{\"commands\":[{\"create\":{\"count\":2,\"mass\":[1]}}]}", 422, "length_mismatch", Some("/commands/0/create/mass")),
+    ("POST", "@/commands", "{\"commands\":[{\"create\":{\"count\":6}}]}", 422, "limit_reached", Some("/commands/0/create/count")),
     ("POST", "@/commands", "{\"commands\":[{\"create\":{\"count\":5}},{\"create\":{}}]}", 422, "limit_reached", Some("/commands/1/create")),
+    ("POST", "@/commands", "{\"commands\":[{\"add_force\":{\"force\":[[1,0,0]]}}]}", 422, "length_mismatch", Some("/commands/0/add_force/force")),
+    ("POST", "@/commands", "{\"commands\":[{\"impulse\":{\"impulse\":[]}}]}", 422, "length_mismatch", Some("/commands/0/impulse/impulse")),
+    ("POST", "@/commands", "{\"commands\":[{\"impulse\":{\"ids\":null,\"impulse\":[1,0,0]}}]}", 422, "invalid_field", Some("/commands/0/impulse/ids")),
+    ("POST", "@/commands", "{\"commands\":[{\"place\":{\"position\":[0,0,0],\"velocity\":[[1,0,0]]}}]}", 422, "length_mismatch", Some("/commands/0/place/velocity")),
+    ("POST", "@/commands", "{\"commands\":[{\"place\":{}}]}", 422, "missing_field", Some("/commands/0/place")),
+    ("POST", "@/commands", "{\"commands\":[{\"remove\":{}}]}", 422, "missing_field", Some("/commands/0/remove/ids")),
+    ("POST", "@/commands", "{\"commands\":[{\"remove\":{\"ids\":null}}]}", 422, "invalid_field", Some("/commands/0/remove/ids")),
     ("POST", "@/commands", "{\"commands\":[{\"remove\":{\"ids\":[0,1,0]}}]}", 422, "removed_twice", Some("/commands/0/remove/ids/2")),
     ("POST", "@/commands", "{\"commands\":[{\"remove\":{\"ids\":[0]}},{\"read\":{\"ids\":[0]}}]}", 404, "unknown_particle", Some("/commands/1/read/ids/0")),
     ("POST", "@/commands", "{\"commands\":[{\"advance\":{\"duration\":1,\"dry_run\":true}}]}", 422, "invalid_field", Some("/commands/0/advance/dry_run")),
@@ -285,9 +297,11 @@ const ROWS: &[Row] = &[
     ("GET", "@/particles/0/trajectory?duration=1e200", "", 422, "clock_out_of_range", None),
     ("GET", "~/particles/0/trajectory?duration=1", "", 422, "compute_budget", None),
     // Limits: 8 particles, 3 worlds, 4096 bytes, 40 interactions in the service of this test.
-    ("POST", "~/advance", "{\"duration\":1}", 422, "compute_budget", None),
-    ("POST", "@/particles", "{\"count\":6}", 422, "limit_reached", None),
+    ("POST", "~/advance", "{\"duration\":1}", 422, "compute_budget", Some("/duration")),
+    ("POST", "@/particles", "{\"count\":6}", 422, "limit_reached", Some("/count")),
     ("POST", "@/particles", "{\"count\":1000000000000}", 422, "limit_reached", None),
+    ("POST", "@/particles", "[{},{},{},{},{},{}]", 422, "limit_reached", None),
+    ("POST", "@/commands", "{\"commands\":[{\"advance\":{\"duration\":1,\"steps\":1000001}}]}", 422, "compute_budget", Some("/commands/0/advance/steps")),
     ("PUT", "/v1/worlds/third", "", 422, "limit_reached", None),
     // Query parameters.
     ("GET", "@?x=1", "", 422, "invalid_parameter", None),
@@ -307,6 +321,24 @@ const ROWS: &[Row] = &[
     ("DELETE", "@?force=1", "", 422, "invalid_parameter", None),
     ("PUT", "/v1/worlds/fresh?x=1", "", 422, "invalid_parameter", None),
     ("GET", "/v1/worlds?limit=0", "", 422, "invalid_parameter", None),
+];
+
+/// Method, path, body, and the sentence that says what to do instead.
+#[rustfmt::skip]
+const SENTENCES: &[(&str, &str, &str, &str)] = &[
+    ("PUT", "@", "{}", "there is a world \"double\" already; change its settings with PATCH, or DELETE it first"),
+    ("PUT", "/v1/worlds/fresh", "{\"name\":\"x\"}", "the name of a world stands in the path: create it with PUT /v1/worlds/{world}"),
+    ("POST", "/v1/worlds", "{\"name\":\"x\"}", "the name of a world stands in the path: create it with PUT /v1/worlds/{world}"),
+    ("POST", "/v1/worlds", "{\"gravity\":\"textbook\",\"world\":\"x\"}", "the name of a world stands in the path: create it with PUT /v1/worlds/{world}"),
+    ("PUT", "/v1/worlds/third", "", "there are 3 worlds, the most allowed (--worlds-max); delete one"),
+    ("PUT", "/v1/worlds", "{}", "PUT is not a method of this path; it has GET, HEAD, POST"),
+    ("GET", "@/forces", "", "GET is not a method of this path; it has POST"),
+    ("POST", "@/particles", "{\"position\":[[0,0,0],[1,1,1]]}", "invalid type: sequence, expected a number; columns, with a value for each particle, need a count"),
+    ("POST", "@/particles", "{\"mass\":[1,2]}", "invalid type: sequence, expected a number; columns, with a value for each particle, need a count"),
+    ("POST", "@/particles", "{\"mass\":\"1\"}", "invalid type: string \"1\", expected a number at line 1 column 11"),
+    ("POST", "@/commands", "{\"commands\":[{\"create\":{\"position\":[[0,0,0]]}}]}", "invalid type: sequence, expected a number; columns, with a value for each particle, need a count"),
+    ("POST", "@/forces", "{\"force\":[[1,0,0],[1,0,0]]}", "force has 2 values for 3 particles; give one for each, or a single value for all"),
+    ("PUT", "/v1/worlds/fresh", "{\"forces\":{\"drag\":{}}}", "the integrator exact cannot serve drag or gravitation; take velocity_verlet, rk4, dop853 or an Euler integrator"),
 ];
 
 /// Method, headers, status, code: refused before any body is read.
@@ -391,6 +423,12 @@ fn refusals_say_why_and_change_nothing() {
     for &(method, path, body, status, code, pointer) in ROWS {
         check_refused(&mut client, &before, (method, path, &[], body), (status, code, pointer));
     }
+    for &(method, path, body, sentence) in SENTENCES {
+        let path = path.replace('@', "/v1/worlds/double");
+        let sent = (method != "GET").then_some(body.as_bytes());
+        assert_eq!(client.send(method, &path, &[], sent).json()["detail"], sentence, "{method} {path} {body}");
+    }
+    assert_eq!(everything(&mut client), before);
     for &(method, headers, status, code) in HEADERS {
         let path = if method == "GET" { "@" } else { "@/particles/0/mass" };
         check_refused(&mut client, &before, (method, path, headers, "{\"mass\":3}"), (status, code, None));
@@ -422,6 +460,64 @@ fn refusals_say_why_and_change_nothing() {
     let mut old = service.client();
     old.raw(b"PUT /v1/worlds/evil HTTP/1.0\r\norigin: https://evil.example\r\n\r\n");
     assert_eq!(old.answer(false).json()["code"], "cross_origin");
+}
+
+/// How large a body may be depends on the route, whatever the world is called.
+#[test]
+fn each_route_has_its_limit() {
+    let (small, bulk, snapshot) = (1 << 20, 3 << 19, 1 << 21);
+    let service = Service::with(|config| {
+        config.body_bytes_max = bulk;
+        config.snapshot_bytes_max = snapshot;
+        // What is within its limit, of which nothing is sent, is waited for.
+        config.body_timeout_ms = 1;
+    });
+    let description = service.client().get("/openapi.json").expect(200).json();
+    let names = ["demo", "particles", "forces", "commands", "snapshot", "advance", "0"];
+    let mut seen = HashSet::new();
+    for (template, method, _) in operations(&description) {
+        if method == "get" || !template.starts_with("/v1/") {
+            continue;
+        }
+        let limit = match (method.as_str(), template.as_str()) {
+            ("post" | "patch", "/v1/worlds/{world}/particles")
+            | ("post", "/v1/worlds/{world}/forces" | "/v1/worlds/{world}/commands" | "/v1/commands") => bulk,
+            ("put", "/v1/worlds/{world}/snapshot") => snapshot,
+            _ => small,
+        };
+        seen.insert(limit);
+        for name in names {
+            let path = template.replace("{world}", name).replace("{id}", "0");
+            for (length, code) in [(limit, "body_timeout"), (limit + 1, "body_too_large")] {
+                let method = method.to_uppercase();
+                let mut client = service.client();
+                client.raw(
+                    format!("{method} {path} HTTP/1.1\r\nhost: localhost\r\ncontent-length: {length}\r\n\r\n")
+                        .as_bytes(),
+                );
+                assert_eq!(client.answer(false).json()["code"], code, "{method} {path} with {length} bytes");
+            }
+        }
+    }
+    assert_eq!(seen.len(), 3);
+}
+
+/// A 405 says in its sentence which methods there are, as its Allow header does.
+#[test]
+fn a_method_that_is_not_allowed_is_told_which_are() {
+    let service = Service::start();
+    let mut client = service.client();
+    let description = client.get("/openapi.json").expect(200).json();
+    let mut paths: Vec<String> = operations(&description).into_iter().map(|(path, ..)| path).collect();
+    paths.dedup();
+    for template in paths {
+        let path = template.replace("{world}", "forces").replace("{id}", "0");
+        let answer = client.send("OPTIONS", &path, &[], None).expect(405);
+        let allowed: BTreeSet<&str> = answer.header("allow").expect("the header").split(',').map(str::trim).collect();
+        let problem = answer.json();
+        let (_, named) = problem["detail"].as_str().and_then(|detail| detail.split_once("; it has ")).expect("methods");
+        assert_eq!(named.split(", ").collect::<BTreeSet<_>>(), allowed, "{path}");
+    }
 }
 
 /// All worlds together have a budget; what is removed is given back.

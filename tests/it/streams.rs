@@ -306,6 +306,21 @@ fn a_socket_takes_commands_and_tells_changes() {
     assert_eq!(binary.closed(), (1000, "unknown_world".to_owned()));
 }
 
+/// What comes up is a body: no larger than one may be.
+#[test]
+fn a_frame_is_no_larger_than_a_body() {
+    let service = Service::with(|config| config.body_bytes_max = 100);
+    let mut client = service.client();
+    client.put("/v1/worlds/a", "").expect(201);
+    let mut socket = Socket::of(&service, "/v1/worlds/a/stream", "");
+    assert_eq!(socket.json()["count"], 0);
+    let commands = |length| format!("{:<length$}", r#"{"commands":[]}"#);
+    socket.send(1, commands(100).as_bytes());
+    assert_eq!(socket.json(), json!({"results": [], "revision": 0}));
+    socket.send(1, commands(101).as_bytes());
+    assert!(socket.0.is_gone());
+}
+
 /// Reading is not changing, whichever way the commands come.
 #[test]
 fn a_read_only_token_follows_and_commands_nothing() {

@@ -9,6 +9,7 @@ use utoipa::ToSchema;
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use crate::command::{Advance, Advanced, Command, Outcome, Plane, Settings, StepError, Until};
+use crate::error::Error;
 use crate::ids::ParticleId;
 use crate::integrator::Integrator;
 use crate::server::App;
@@ -161,11 +162,12 @@ async fn advance(State(app): State<Arc<App>>, change: Change) -> Result<Response
     let encoding = change.encoding;
     with_slot!(any, slot => {
         change.apply(&slot, parsed, cost, move |world, body, cancelled| {
-            let command = Command::Advance(body.advance());
+            let advance = body.advance();
+            let command = Command::Advance(advance);
             let properties = body.properties.map(wire::named);
             let revision = Some(world.revision() + u64::from(!body.dry_run));
             let apply = |world: &mut World<_>| {
-                let outcome = world.apply_unless(&command, cancelled).map_err(|error| Problem::from_engine(error, Shape::World))?;
+                let outcome = world.apply_unless(&command, cancelled).map_err(|error| refused(error, &advance))?;
                 let Outcome::Advanced(advanced) = outcome else { unreachable!("an advance answers with what it advanced") };
                 let mut composer = Composer::new(encoding);
                 let answer = AdvancedBody { revision, ..AdvancedBody::new(&advanced, world, body.report_error) };
@@ -182,6 +184,19 @@ async fn advance(State(app): State<Arc<App>>, change: Change) -> Result<Response
             }
             Ok(Reply::of(content))
         }).await
+    })
+}
+
+/// What the engine refuses of an advance. What would take too long points to what the request says of its length.
+pub(crate) fn refused(error: Error, advance: &Advance) -> Problem {
+    let problem = Problem::from_engine(error, Shape::World);
+    if problem.code != Code::ComputeBudget {
+        return problem;
+    }
+    problem.pointing_to(match advance {
+        Advance { steps: Some(_), .. } => "/steps",
+        Advance { max_step: Some(_), .. } => "/max_step",
+        Advance { .. } => "/duration",
     })
 }
 

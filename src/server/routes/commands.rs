@@ -22,12 +22,12 @@ use crate::server::columns::{self, Columns};
 use crate::server::config::{COMMANDS_MAX, Config, WORLDS_MAX};
 use crate::server::content::Composer;
 use crate::server::encoding::Encoding;
-use crate::server::extract::{Change, NoParameters};
+use crate::server::extract::{Bulk, Change, NoParameters};
 use crate::server::json::{self, Named, Object, Vector, WireReal, column, present};
 use crate::server::memory::PARTICLE_BYTES;
 use crate::server::problem::{Code, Problem, ProblemBody, Shape};
 use crate::server::reply::Reply;
-use crate::server::routes::advance::{AdvanceBody, AdvancedBody, bytes_of_copies, check_duration};
+use crate::server::routes::advance::{self, AdvanceBody, AdvancedBody, bytes_of_copies, check_duration};
 use crate::server::routes::forces::ForcesBody;
 use crate::server::routes::particles::{CreateBody, New, read_new};
 use crate::server::slot::{Cost, Shared, with_slot};
@@ -140,12 +140,15 @@ impl<'de: 'a, 'a> Deserialize<'de> for CommandBody<'a> {
     }
 }
 
-/// Teleports: positions, velocities or both; one vector for all of the ids, or a list with one for each.
+/// Teleports: positions, velocities or both; one vector for all of the particles, or a list with one for each.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(as = Places, example = json!({"ids": [0, 2], "position": [[0.0, 1.0, 0.0], [2.0, 1.0, 0.0]]}))]
 struct PlacesBody<'a> {
-    ids: Vec<u64>,
+    /// Which particles, in the order of the lists; absent: all, in ascending order of id.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(nullable = false)]
+    ids: Option<Vec<u64>>,
     /// In metres; absent: they stay.
     #[serde(borrow, default, deserialize_with = "present")]
     #[schema(value_type = Option<VectorColumn>, nullable = false)]
@@ -156,12 +159,15 @@ struct PlacesBody<'a> {
     velocity: Option<Raw<'a>>,
 }
 
-/// Impulses for many particles: one vector for all of the ids, or a list with one for each.
+/// Impulses for many particles: one vector for all of them, or a list with one for each.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(as = Impulses, example = json!({"ids": [0, 2], "impulse": [1.0, 0.0, 0.0]}))]
 struct ImpulsesBody<'a> {
-    ids: Vec<u64>,
+    /// Which particles, in the order of the list; absent: all, in ascending order of id.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(nullable = false)]
+    ids: Option<Vec<u64>>,
     /// In newton seconds.
     #[serde(borrow)]
     #[schema(value_type = VectorColumn)]
@@ -173,7 +179,7 @@ struct ImpulsesBody<'a> {
 #[serde(deny_unknown_fields)]
 #[schema(as = Removal, example = json!({"ids": [0, 2]}))]
 struct RemovalBody {
-    /// Each once.
+    /// Each once. They cannot be left out, as they can elsewhere: a slip would empty the world.
     ids: Vec<u64>,
 }
 
@@ -290,7 +296,7 @@ impl<'de: 'a, 'a> Deserialize<'de> for ByName<'a> {
 /// revision grows by one, and by none when the commands only read. Their advances together may cost what one may.
 #[utoipa::path(post, path = "/v1/worlds/{world}/commands", tag = "commands", request_body = CommandsBody,
     responses((status = 200, body = Results, headers(("etag" = String)))))]
-async fn run_commands(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+async fn run_commands(State(app): State<Arc<App>>, Bulk(change): Bulk) -> Result<Response, Problem> {
     run(&app, &change).await.map(IntoResponse::into_response)
 }
 
@@ -301,7 +307,7 @@ async fn run_commands(State(app): State<Arc<App>>, change: Change) -> Result<Res
 /// the others run.
 #[utoipa::path(post, path = "/v1/commands", tag = "commands", request_body = WorldsBody,
     responses((status = 200, body = WorldsAnswer)))]
-async fn run_commands_in_worlds(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+async fn run_commands_in_worlds(State(app): State<Arc<App>>, Bulk(change): Bulk) -> Result<Response, Problem> {
     if let Some(Err(problem)) = &change.key {
         return Err(problem.clone());
     }
@@ -432,7 +438,7 @@ impl Kind {
             }
             Self::Remove => {
                 let Object(RemovalBody { ids }) = raw.read("")?;
-                Command::Remove { ids: selection(ids) }
+                Command::Remove { ids: selection(Some(ids)) }
             }
             Self::Advance => {
                 let (advance, properties) = raw.read::<Object<AdvanceBody>>("")?.0.in_batch()?;
@@ -609,7 +615,11 @@ impl<R: WireReal> Item<R> {
                 return Err(Problem::from_engine(Error::Cancelled, shape));
             }
             world.apply_in_batch(command, cancelled).map_err(|error| {
-                let problem = Problem::from_engine(error, shape);
+                let problem = if let Command::Advance(advance) = command {
+                    advance::refused(error, advance)
+                } else {
+                    Problem::from_engine(error, shape)
+                };
                 let is_shared = matches!(error, Error::LimitReached { limit, .. } if limit != Limit::Particles);
                 if is_shared { problem.adding("; the advances of a batch share the limits of one") } else { problem }
             })

@@ -13,8 +13,8 @@ use crate::command::Command;
 use crate::ids::ParticleId;
 use crate::server::App;
 use crate::server::body::{Body, Raw};
-use crate::server::extract::Change;
-use crate::server::json::{Element, Object, Vector, WireReal, column};
+use crate::server::extract::{Bulk, Change};
+use crate::server::json::{Element, Object, Vector, WireReal, column, present};
 use crate::server::problem::Problem;
 use crate::server::routes::{apply_to_many, many};
 use crate::server::slot::with_slot;
@@ -42,12 +42,15 @@ struct ImpulseBody<R: WireReal> {
     impulse: Vector<R>,
 }
 
-/// Forces for many particles: one vector for all of the ids, or a list with one for each.
+/// Forces for many particles: one vector for all of them, or a list with one for each.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(as = Forces, example = json!({"ids": [0, 2], "force": [[1.0, 0.0, 0.0], [0.0, 2.0, 0.0]]}))]
 pub(crate) struct ForcesBody<'a> {
-    ids: Vec<u64>,
+    /// Which particles, in the order of the list; absent: all, in ascending order of id.
+    #[serde(default, deserialize_with = "present")]
+    #[schema(nullable = false)]
+    ids: Option<Vec<u64>>,
     /// In newtons.
     #[serde(borrow)]
     #[schema(value_type = VectorColumn)]
@@ -91,10 +94,10 @@ async fn apply_impulse(State(app): State<Arc<App>>, change: Change) -> Result<Re
 
 /// Adds forces to many particles
 ///
-/// An id that is named twice gets both. All or none.
+/// Without `ids` to every particle of the world. An id that is named twice gets both. All or none.
 #[utoipa::path(post, path = "/v1/worlds/{world}/forces", tag = "forces", request_body = ForcesBody,
     responses((status = 200, body = Changed, headers(("etag" = String)))))]
-async fn add_forces(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+async fn add_forces(State(app): State<Arc<App>>, Bulk(change): Bulk) -> Result<Response, Problem> {
     fn read<R: WireReal>(body: &Body) -> Result<Command<R>, Problem> {
         body.read::<Object<ForcesBody<'_>>>()?.0.command()
     }

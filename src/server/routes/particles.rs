@@ -18,7 +18,7 @@ use crate::server::body::{Body, Raw};
 use crate::server::columns::Columns;
 use crate::server::content::{Composer, Content};
 use crate::server::encoding::Encoding;
-use crate::server::extract::{Change, NoParameters, Read, page_limit};
+use crate::server::extract::{Bulk, Change, NoParameters, Read, page_limit};
 use crate::server::json::{Element, Object, Vector, WireReal, present};
 use crate::server::memory::PARTICLE_BYTES;
 use crate::server::problem::{Code, Problem, Shape};
@@ -142,7 +142,7 @@ struct StateQuery {
 /// with `count`): the answer has the first id and the count. All or none.
 #[utoipa::path(post, path = "/v1/worlds/{world}/particles", tag = "particles", request_body = CreateBody,
     responses((status = 201, body = CreateAnswer, headers(("location" = String), ("etag" = String)))))]
-async fn create_particles(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+async fn create_particles(State(app): State<Arc<App>>, Bulk(change): Bulk) -> Result<Response, Problem> {
     let any = app.slot(&change.target)?;
     let (name, encoding) = (change.target.world.clone(), change.encoding);
     with_slot!(any, slot => {
@@ -186,8 +186,13 @@ pub(crate) fn read_new<R: WireReal>(body: Raw<'_>, most: u64) -> Result<New<R>, 
     }
     // Without a count the columns are those of one particle, which takes no lists: read again as such.
     let columns = body.read::<Object<ColumnsBody<'_>>>("");
-    if let Ok(Object(ColumnsBody { count: None, .. })) = columns {
-        let Object(one) = body.read::<Object<ParticleBody<R>>>("")?;
+    if let Ok(Object(columns @ ColumnsBody { count: None, .. })) = &columns {
+        let Object(one) = body.read::<Object<ParticleBody<R>>>("").map_err(|problem| {
+            // It would do for any number of particles, if it had one.
+            let needs_count = columns.particles::<R>(0).is_ok();
+            let hint = "; columns, with a value for each particle, need a count";
+            if needs_count { problem.under("").adding(hint) } else { problem }
+        })?;
         return Ok(New { particles: one.one()?, shape: Shape::Particle });
     }
     let Object(columns) = columns?;
@@ -314,10 +319,10 @@ impl List {
 
 /// Sets properties of many particles
 ///
-/// One value for all, or a list with one for each. All or none.
+/// One value for all, or a list with one for each; without `ids` of every particle of the world. All or none.
 #[utoipa::path(patch, path = "/v1/worlds/{world}/particles", tag = "particles", request_body = SetManyBody,
     responses((status = 200, body = Changed, headers(("etag" = String)))))]
-async fn set_particles(State(app): State<Arc<App>>, change: Change) -> Result<Response, Problem> {
+async fn set_particles(State(app): State<Arc<App>>, Bulk(change): Bulk) -> Result<Response, Problem> {
     fn read<R: WireReal>(body: &Body) -> Result<Command<R>, Problem> {
         body.read::<Object<SetManyBody<'_>>>()?.0.command()
     }

@@ -105,7 +105,8 @@ async fn follow_world(State(app): State<Arc<App>>, request: Request) -> Result<R
         let upgrade = WebSocketUpgrade::from_request_parts(&mut parts, &app).await.map_err(|rejection| {
             Problem::new(Code::MalformedRequest, format!("this is no handshake of a WebSocket: {rejection}"))
         })?;
-        let upgrade = upgrade.max_message_size(SMALL_BODY_BYTES_MAX).max_frame_size(SMALL_BODY_BYTES_MAX);
+        let most = app.config.body_bytes_max.min(SMALL_BODY_BYTES_MAX);
+        let upgrade = upgrade.max_message_size(most).max_frame_size(most);
         return with_slot!(any, slot => {
             let follower = Follower::new(&app, slot, target.clone(), interest).await?;
             let talk = Talk { app, target, may_change, encoding };

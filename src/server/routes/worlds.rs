@@ -11,6 +11,7 @@ use utoipa::openapi::schema::{ObjectBuilder, OneOfBuilder, Schema, Type};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use crate::command::{Command, Configure, Settings, gravity};
+use crate::error::Error;
 use crate::forces::Forces;
 use crate::integrator::{DampingLaw, Integrator};
 use crate::real::Precision;
@@ -210,7 +211,15 @@ fn create(app: &App, name: &str, change: &Change) -> Result<Response, Problem> {
         return Ok(reply.into_response());
     }
     let body = if change.body.bytes.is_empty() { Ok(Raw::Json("{}")) } else { change.body.raw() };
-    let parsed = body.and_then(|body| body.read::<Object<CreateWorld<'_>>>(""));
+    let parsed = body.and_then(|body| body.read::<Object<CreateWorld<'_>>>("")).map_err(|problem| {
+        match problem.pointer.as_deref() {
+            Some(pointer @ ("/name" | "/world")) if problem.code == Code::UnknownField => {
+                let detail = "the name of a world stands in the path: create it with PUT /v1/worlds/{world}";
+                Problem::at(Code::UnknownField, pointer, detail)
+            }
+            _ => problem,
+        }
+    });
     if let Err(problem) = &parsed
         && problem.is_malformed()
     {
@@ -238,7 +247,9 @@ fn insert<R: WireReal>(
     any: impl FnOnce(Arc<Slot<R>>) -> AnySlot,
 ) -> Result<Response, Problem> {
     let default = Settings::<R>::default();
-    let (forces, tolerance) = Parts::read(body.forces, body.tolerance)?.over(&default);
+    let parts = Parts::read(body.forces, body.tolerance)?;
+    let (force, law) = (parts.pointer_to_force(), body.damping_law.is_some());
+    let (forces, tolerance) = parts.over(&default);
     let settings = Settings {
         integrator: body.integrator.map_or(default.integrator, |Named(integrator)| integrator),
         gravity: body.gravity.map(read_gravity::<R>).transpose()?.unwrap_or(default.gravity),
@@ -248,8 +259,7 @@ fn insert<R: WireReal>(
         tolerance,
         compensated: body.compensated,
     };
-    let mut world =
-        World::with_limits(settings, app.config.limits()).map_err(|error| Problem::from_engine(error, Shape::World))?;
+    let mut world = World::with_limits(settings, app.config.limits()).map_err(|error| refused(error, force, law))?;
     world.set_threads(&app.shared.threads);
     let reply = Reply::ok(encoding, &Description::new(name, &world)).created(Some(format!("/v1/worlds/{name}"))).at(0);
     let slot = Slot::new(name, world, &app.shared);
@@ -263,13 +273,28 @@ fn insert<R: WireReal>(
     Ok(reply.into_response())
 }
 
+/// What the engine refuses of settings. What does not go with the integrator points to what the request says of it.
+fn refused(error: Error, force: Option<&str>, names_damping_law: bool) -> Problem {
+    let problem = Problem::from_engine(error, Shape::World);
+    if problem.code == Code::IntegratorCannotServeForces {
+        problem.pointing_to(force.unwrap_or("/integrator"))
+    } else if names_damping_law && matches!(error, Error::IntegratorCannotServeDamping { .. }) {
+        problem.pointing_to("/damping_law")
+    } else if problem.code == Code::IntegratorCannotServeDamping {
+        problem.pointing_to("/integrator")
+    } else {
+        problem
+    }
+}
+
 pub(crate) fn too_many_worlds(app: &App) -> Problem {
-    let detail = format!("there are {} worlds, the most allowed (--{WORLDS_MAX})", app.config.worlds_max);
+    let detail = format!("there are {} worlds, the most allowed (--{WORLDS_MAX}); delete one", app.config.worlds_max);
     Problem::new(Code::LimitReached, detail)
 }
 
 fn world_exists(name: &str) -> Problem {
-    Problem::new(Code::WorldExists, format!("there is a world {name:?} already"))
+    let detail = format!("there is a world {name:?} already; change its settings with PATCH, or DELETE it first");
+    Problem::new(Code::WorldExists, detail)
 }
 
 /// Refuses what is no name.
@@ -356,6 +381,7 @@ async fn configure_world(State(app): State<Arc<App>>, change: Change) -> Result<
         let parsed = read(&change.body);
         let cost = |world: &World<_>, _: &_| Cost::of(world.particle_count() as u64);
         change.apply(&slot, parsed, cost, move |world, (configure, parts), _| {
+            let (force, law) = (parts.pointer_to_force(), configure.damping_law.is_some());
             let (Forces { drag, gravitation }, tolerance) = parts.over(world.settings());
             let command = Command::Configure(Configure {
                 drag: Some(drag),
@@ -363,7 +389,7 @@ async fn configure_world(State(app): State<Arc<App>>, change: Change) -> Result<
                 tolerance: Some(tolerance),
                 ..configure
             });
-            world.apply(&command).map_err(|error| Problem::from_engine(error, Shape::World))?;
+            world.apply(&command).map_err(|error| refused(error, force, law))?;
             Ok(Reply::ok(encoding, &Description::new(&name, world)))
         }).await
     })
