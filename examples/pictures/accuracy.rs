@@ -237,9 +237,10 @@ fn stability(accuracy: &Recorded) -> String {
         let top = y;
         let rows = accuracy.rows(&[("group", "stability"), ("scene", brake)]);
         for alike in alike(&rows) {
-            let height = 25.0 * alike.len() as f64 + 4.0;
-            for (i, integrator) in alike.iter().enumerate() {
-                picture.text((LEFT - 10.0, y + 21.0 + 25.0 * i as f64), Anchor::End, integrator);
+            let mut height = 4.0;
+            for integrator in &alike {
+                picture.text((LEFT - 10.0, y + 17.0 + height), Anchor::End, integrator);
+                height += 25.0;
             }
             let changes: Vec<&Row> = rows.iter().filter(|row| row.text("method") == alike[0]).collect();
             for (i, change) in changes.iter().enumerate() {

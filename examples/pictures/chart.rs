@@ -120,7 +120,7 @@ impl Range {
     fn ticks(&self, most: i32) -> Vec<f64> {
         #[expect(clippy::cast_possible_truncation, reason = "exponents of doubles")]
         let (first, last) = (self.low.floor() as i32, self.high.floor() as i32);
-        let every = (1..).find(|every| (last - first) / every < most).unwrap_or(1);
+        let every = (1..100).find(|every| (last - first) / every < most).unwrap_or(100);
         let multiples: &[f64] = if self.high - self.low < 2.0 { &[1.0, 2.0, 5.0] } else { &[1.0] };
         let powers = (first..=last).filter(|power| power.rem_euclid(every) == 0);
         let all = powers.flat_map(|power| multiples.iter().map(move |multiple| multiple * 10_f64.powi(power)));
@@ -148,13 +148,7 @@ pub(crate) fn time(ns: f64) -> String {
         _ if ns < 999.5e6 => (ns / 1e6, "ms"),
         _ => (ns / 1e9, "s"),
     };
-    let decimals = if value < 9.995 {
-        2
-    } else if value < 99.95 {
-        1
-    } else {
-        0
-    };
+    let decimals = if value < 9.995 { 2 } else { usize::from(value < 99.95) };
     let digits = format!("{value:.decimals$}");
     let digits = if decimals > 0 { digits.trim_end_matches('0').trim_end_matches('.') } else { &digits };
     format!("{digits} {unit}")

@@ -6,12 +6,15 @@ use crate::chart::time;
 use crate::csv::Recorded;
 use crate::svg::{Anchor, Colour, Picture, Stroke};
 
+/// What is done, its case, and its ways: their figure and how they are called.
+type Group = (&'static str, &'static str, &'static [(&'static str, &'static str)]);
+
 pub(crate) fn wire(wire: &Recorded) -> String {
     let mut picture = Picture::new(
         "CBOR costs a fraction of what JSON costs",
         "Time of a particle in double, from the request to the last byte, and how many times that of a raw socket with the same bytes.",
     );
-    let groups: [(&str, &str, &[(&str, &str)]); 3] = [
+    let groups: [Group; 3] = [
         (
             "Reading positions and velocities",
             "out",
