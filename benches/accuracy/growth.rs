@@ -6,7 +6,6 @@ use std::sync::atomic::AtomicBool;
 
 use pointmass::{Advance, Command, Integrator, Precision, Real, States, World};
 
-use crate::chart::{Line, Mark, Style};
 use crate::measure::whole;
 use crate::method::{Method, Setting};
 use crate::scenes::{Scene, distance, read_all};
@@ -18,7 +17,11 @@ pub(crate) struct Curve {
     pub(crate) chart: &'static str,
     pub(crate) scene: String,
     pub(crate) precision: Precision,
-    pub(crate) line: Line,
+    pub(crate) name: String,
+    /// Along the line.
+    pub(crate) points: Vec<(f64, f64)>,
+    /// Where the engine refused to go on.
+    pub(crate) refused: Option<f64>,
 }
 
 /// Rounding over a million steps.
@@ -34,8 +37,9 @@ fn step<R: Real>(world: &mut World<R>, duration: f64, steps: Option<u64>) -> Res
     world.apply_unless(&command, &AtomicBool::new(false)).map(drop)
 }
 
-fn line(name: String, method: Method) -> Line {
-    Line { style: Style { name, ..Style::of(method) }, points: Vec::new(), marks: Vec::new() }
+fn curve(chart: &'static str, scene: &Scene, name: String) -> Curve {
+    let (scene, precision) = (scene.name.clone(), scene.precision);
+    Curve { chart, scene, precision, name, points: Vec::new(), refused: None }
 }
 
 /// `base` and `weak` in steps of 1/60 s under `velocity_verlet`, whose steps are exact there: what is left is rounding.
@@ -48,13 +52,9 @@ pub(crate) fn long(scene: &Scene, small: bool) -> Vec<Curve> {
 
 fn long_in<R: Real>(scene: &Scene, small: bool) -> Vec<Curve> {
     let verlet = Integrator::VelocityVerlet;
-    let curve = |method: Method| {
+    let of = |method: Method| {
         let name = format!("{}{}", scene.precision, if method.compensated { ", compensated" } else { "" });
-        let mut line = line(name, method);
-        line.style.colour = match scene.precision {
-            Precision::Single => crate::colours::RED,
-            Precision::Double => crate::colours::BLUE,
-        };
+        let mut curve = curve(LONG, scene, name);
         let mut world: World<R> = scene.world(method.settings(Setting::Steps(1)), 1);
         // Within an ulp of the truth, which the checks hold against the references.
         let mut exact: World<f64> = scene.world(Method::plain(Integrator::Exact).settings(Setting::Advances(1)), 1);
@@ -69,11 +69,11 @@ fn long_in<R: Real>(scene: &Scene, small: bool) -> Vec<Curve> {
             read_all(&exact, &mut truth);
             let (there, should) = (states.position[0].map(Into::into), truth.position[0]);
             let error = distance(there, should) / distance(should, [0.0; 3]);
-            line.points.push((whole(steps), error));
+            curve.points.push((whole(steps), error));
         }
-        Curve { chart: LONG, scene: scene.name.clone(), precision: scene.precision, line }
+        curve
     };
-    vec![curve(Method::plain(verlet)), curve(Method::compensated(verlet))]
+    vec![of(Method::plain(verlet)), of(Method::compensated(verlet))]
 }
 
 /// Kepler's orbit: where the bodies are after 1, 10, 100 and 1000 periods.
@@ -99,8 +99,8 @@ fn orbits_in<R: Real>(scene: &Scene, small: bool) -> Vec<Curve> {
         tolerance(Method::compensated(dop853), 1e-17),
     ];
     let ends = if small { &scene.ends[..1] } else { &scene.ends[..] };
-    let curve = |(method, setting, name): (Method, Setting, String)| {
-        let mut line = line(name, method);
+    let of = |(method, setting, name): (Method, Setting, String)| {
+        let mut curve = curve(ORBITS, scene, name);
         let mut world: World<R> = scene.world(method.settings(setting), 1);
         let mut states = States::default();
         let (mut since, mut orbits) = (0.0, 0);
@@ -110,16 +110,16 @@ fn orbits_in<R: Real>(scene: &Scene, small: bool) -> Vec<Curve> {
                 Setting::Advances(_) | Setting::Tolerance(_) => None,
             };
             if step(&mut world, end.time - since, steps).is_err() {
-                line.marks.push((whole(periods), Mark::Refused));
+                curve.refused = Some(whole(periods));
                 break;
             }
             (since, orbits) = (end.time, periods);
             read_all(&world, &mut states);
-            line.points.push((whole(periods), end.error(&states)));
+            curve.points.push((whole(periods), end.error(&states)));
         }
-        Curve { chart: ORBITS, scene: scene.name.clone(), precision: scene.precision, line }
+        curve
     };
-    ways.into_iter().map(curve).collect()
+    ways.into_iter().map(of).collect()
 }
 
 /// The outer planets in double: the largest relative error of the energy so far.
@@ -139,8 +139,8 @@ pub(crate) fn energy(scene: &Scene, small: bool) -> Vec<Curve> {
         tolerance(Method::compensated(Integrator::Dop853), 1e-17),
     ];
     let last = if small { 90 } else { 913_125 };
-    let curve = |(method, setting, name): (Method, Setting, String)| {
-        let mut line = line(name, method);
+    let of = |(method, setting, name): (Method, Setting, String)| {
+        let mut curve = curve(ENERGY, scene, name);
         let mut world: World<f64> = scene.world(method.settings(setting), 1);
         let mut states = States::default();
         read_all(&world, &mut states);
@@ -151,19 +151,19 @@ pub(crate) fn energy(scene: &Scene, small: bool) -> Vec<Curve> {
             let asked = matches!(setting, Setting::Steps(_)).then_some(some);
             let years = STEP * whole(steps) / 365.25;
             if steps > taken && step(&mut world, STEP * whole(some), asked).is_err() {
-                line.marks.push((years, Mark::Refused));
+                curve.refused = Some(years);
                 break;
             }
             taken = steps;
             read_all(&world, &mut states);
             most = most.max((scene.energy(&states) / start - 1.0).abs());
             if i % 8 == 0 || steps == last {
-                line.points.push((years, most));
+                curve.points.push((years, most));
             }
         }
-        Curve { chart: ENERGY, scene: scene.name.clone(), precision: scene.precision, line }
+        curve
     };
-    ways.into_iter().map(curve).collect()
+    ways.into_iter().map(of).collect()
 }
 
 /// Whole numbers from 1 to a power of ten, so many to each power, each once.
@@ -177,12 +177,4 @@ fn logarithmic(powers: u32, each: u32) -> impl Iterator<Item = u64> {
             number
         })
     })
-}
-
-/// A power of x over the range of a line, at twice its first point.
-pub(crate) fn guide(name: &str, of: &Line, exponent: f64) -> Option<Line> {
-    let first = of.points.iter().find(|(_, y)| *y > 0.0)?;
-    let last = of.points.last()?;
-    let at = |x: f64| (x, 2.0 * first.1 * (x / first.0).powf(exponent));
-    Some(Line { style: Style::guide(name), points: vec![at(first.0), at(last.0)], marks: Vec::new() })
 }

@@ -1,16 +1,12 @@
 //! Run time against error, for every integrator, scene and precision.
 //!
-//! `cargo bench --bench accuracy` takes some minutes and writes `docs/accuracy.md`, `docs/accuracy.csv`, the charts and
-//! the table of `docs/integrators.md`. `cargo bench --bench accuracy -- kepler` measures one scene, and writes below
+//! `cargo bench --bench accuracy` takes some minutes and writes `docs/accuracy.md`, `docs/accuracy.csv` and the table of
+//! `docs/integrators.md`. `cargo bench --bench accuracy -- kepler` measures one scene, and writes below
 //! the folder of the build. Without `--bench`, as in `cargo test`, everything runs once at small size and is checked.
 
 #![expect(clippy::print_stdout, reason = "the tables are what it is for")]
 #![expect(clippy::cast_precision_loss, reason = "counts of steps and particles are far below 2⁵³")]
 
-mod chart;
-mod charts;
-#[path = "../shared/colours.rs"]
-mod colours;
 mod growth;
 #[path = "../shared/host.rs"]
 mod host;
@@ -65,7 +61,7 @@ fn main() {
         results.rows = stability::measure(small);
     }
     if small {
-        let files = report::files(&results).expect("everything can be drawn");
+        let files = report::files(&results).expect("everything can be written");
         assert!(files.iter().all(|(name, text)| !text.contains("NaN") && !name.is_empty()), "a number is missing");
         return;
     }

@@ -2,14 +2,9 @@
 
 use std::fmt::{self, Display};
 
-use plotters::style::RGBColor;
 use pointmass::{Integrator, Real, Settings, Tolerance};
 
-use crate::colours::{BLACK, BLUE, GREEN, GREY, RED};
 use crate::measure::whole;
-
-const ORANGE: RGBColor = RGBColor(230, 159, 0);
-const PURPLE: RGBColor = RGBColor(204, 121, 167);
 
 /// An integrator, with plain or compensated sums.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -40,7 +35,7 @@ impl Setting {
 }
 
 impl Method {
-    /// In the order of legends and tables.
+    /// In the order of tables.
     pub(crate) const ALL: [Self; 10] = [
         Self::plain(Integrator::NewtonEuler),
         Self::plain(Integrator::NewtonEulerQuadratic),
@@ -68,19 +63,6 @@ impl Method {
             Setting::Advances(_) | Setting::Steps(_) => Tolerance::default(),
         };
         Settings { integrator: self.integrator, compensated: self.compensated, tolerance, ..Settings::default() }
-    }
-
-    /// The same everywhere.
-    pub(crate) fn colour(self) -> RGBColor {
-        match self.integrator {
-            Integrator::NewtonEuler => BLACK,
-            Integrator::NewtonEulerQuadratic => GREY,
-            Integrator::SemiImplicitEuler => ORANGE,
-            Integrator::VelocityVerlet => BLUE,
-            Integrator::Rk4 => RED,
-            Integrator::Dop853 => PURPLE,
-            Integrator::Exact => GREEN,
-        }
     }
 }
 

@@ -2,16 +2,9 @@
 //!
 //! Only the product of rate and step matters, so that one number stands for both.
 
-#![expect(clippy::disallowed_methods, reason = "steps to try and places to draw; no state of a world comes of them")]
+#![expect(clippy::disallowed_methods, reason = "steps to try; no state of a world comes of them")]
 
-use std::error::Error;
-
-use plotters::prelude::*;
-use plotters::style::text_anchor::{HPos, Pos, VPos};
 use pointmass::{Advance, Drag, Forces, Integrator, Particle, Settings, World};
-
-use crate::chart::{draw_origin, power_of_ten};
-use crate::colours::{BLUE, RED};
 
 /// What slows the particle down.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,33 +48,14 @@ impl Brake {
             Self::Quadratic => "quadratic drag",
         }
     }
-
-    /// The product of rate and step.
-    const fn product(self) -> &'static str {
-        match self {
-            Self::Damping => "damping, λ h with λ = −ln d",
-            Self::Linear => "linear drag, k₁ h / m",
-            Self::Quadratic => "quadratic drag, k₂ |v₀| h / m",
-        }
-    }
 }
 
 impl Behaviour {
-    const ALL: [Self; 3] = [Self::Decays, Self::Oscillates, Self::Grows];
-
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Decays => "decays",
             Self::Oscillates => "decays, but changes sign or overshoots",
             Self::Grows => "grows or is refused",
-        }
-    }
-
-    const fn colour(self) -> RGBColor {
-        match self {
-            Self::Decays => RGBColor(190, 220, 240),
-            Self::Oscillates => BLUE,
-            Self::Grows => RED,
         }
     }
 }
@@ -147,70 +121,6 @@ fn behaviour(brake: Brake, integrator: Integrator, step: f64) -> Behaviour {
         (false, true) => Behaviour::Oscillates,
         (false, false) => Behaviour::Grows,
     }
-}
-
-pub(crate) fn svg(rows: &[Row]) -> Result<String, Box<dyn Error>> {
-    const LEFT: i32 = 306;
-    const RIGHT: i32 = 774;
-    const LETTERS: u32 = 26;
-    let ink = RGBColor(60, 60, 60);
-    let letters = || ("sans-serif", LETTERS).into_font().color(&ink);
-    let height = 200 + 38 * i32::try_from(rows.len())? + 3 * 120 + 70;
-    let place = |product: f64| {
-        let along = (product / LEAST).log10() / (MOST / LEAST).log10() * f64::from(RIGHT - LEFT);
-        #[expect(clippy::cast_possible_truncation, reason = "pixels of a panel")]
-        let pixels = along.round() as i32;
-        LEFT + pixels
-    };
-    let mut text = String::new();
-    {
-        let root = SVGBackend::with_string(&mut text, (800, u32::try_from(height)?)).into_drawing_area();
-        root.fill(&WHITE)?;
-        let bold = |size: u32| ("sans-serif", size).into_font().style(FontStyle::Bold).color(&ink);
-        root.draw_text("Which steps are stable: 200 steps", &bold(34), (20, 16))?;
-        for (i, behaviour) in Behaviour::ALL.into_iter().enumerate() {
-            let y = 66 + 38 * i32::try_from(i)?;
-            root.draw(&Rectangle::new([(20, y), (64, y + 26)], behaviour.colour().filled()))?;
-            root.draw_text(behaviour.name(), &letters(), (76, y))?;
-        }
-        let mut y = 200;
-        for brake in Brake::ALL {
-            root.draw_text(brake.product(), &bold(LETTERS + 2), (20, y))?;
-            y += 42;
-            let top = y;
-            for row in rows.iter().filter(|row| row.brake == brake) {
-                let right = letters().pos(Pos::new(HPos::Right, VPos::Center));
-                root.draw_text(row.integrator.name(), &right, (LEFT - 10, y + 16))?;
-                for (i, (from, behaviour)) in row.changes.iter().enumerate() {
-                    let end = row.changes.get(i + 1).map_or(MOST, |next| next.0);
-                    let (from_x, to_x) = (place(*from), place(end));
-                    root.draw(&Rectangle::new([(from_x, y), (to_x, y + 32)], behaviour.colour().filled()))?;
-                    // Where it begins, if there is room to say so.
-                    if i > 0 && to_x - from_x > 80 {
-                        let white =
-                            ("sans-serif", LETTERS).into_font().color(&WHITE).pos(Pos::new(HPos::Left, VPos::Center));
-                        let dark = letters().pos(Pos::new(HPos::Left, VPos::Center));
-                        let style = if *behaviour == Behaviour::Decays { &dark } else { &white };
-                        root.draw_text(&threshold(*from), style, (from_x + 6, y + 16))?;
-                    }
-                }
-                y += 38;
-            }
-            for power in -1..=3 {
-                let x = place(10_f64.powi(power));
-                root.draw(&PathElement::new([(x, top), (x, y)], WHITE.stroke_width(1)))?;
-                root.draw_text(&label(power), &letters().pos(Pos::new(HPos::Center, VPos::Top)), (x, y + 2))?;
-            }
-            y += 78;
-        }
-        draw_origin(&root, height - 62)?;
-        root.present()?;
-    }
-    Ok(text)
-}
-
-fn label(power: i32) -> String {
-    if power == -1 { "0.1".to_owned() } else { power_of_ten(power) }
 }
 
 pub(crate) fn threshold(product: f64) -> String {

@@ -15,8 +15,6 @@ pub(crate) struct Spec {
     pub(crate) about: &'static str,
     /// The unit of length: m, AU, or none.
     pub(crate) length: &'static str,
-    /// The unit of time in full: what a simulated one is.
-    pub(crate) time: &'static str,
     /// By which errors are divided to be relative; `None`: the distance from the origin at the end.
     size: Option<f64>,
     /// Copies of each particle. One particle fills no vector register, and nobody has one particle.
@@ -48,7 +46,6 @@ pub(crate) const SPECS: [Spec; 7] = [
         title: "Thrown, with strong damping",
         about: "Gravity of 9.81 m/s², damping 0.5 (half of the velocity is lost each second), 10 s.",
         length: "m",
-        time: "second",
         size: None,
         copies: COPIES,
         steps: &THROW,
@@ -59,7 +56,6 @@ pub(crate) const SPECS: [Spec; 7] = [
         title: "Thrown, with weak damping, 4.6 hours",
         about: "Gravity of 9.81 m/s², damping 0.999, 16,667 s: a million steps of 1/60 s.",
         length: "m",
-        time: "second",
         size: None,
         copies: COPIES,
         steps: &[
@@ -78,7 +74,6 @@ pub(crate) const SPECS: [Spec; 7] = [
         title: "Thrown, with quadratic drag",
         about: "Gravity of 9.81 m/s², drag k₁ = 0.2 kg/s and k₂ = 0.1 kg/m on 1 kg, 10 s.",
         length: "m",
-        time: "second",
         size: None,
         copies: COPIES,
         steps: &THROW,
@@ -89,7 +84,6 @@ pub(crate) const SPECS: [Spec; 7] = [
         title: "Kepler, eccentricity 0.9, 1000 orbits",
         about: "Two bodies, mass ratio 1000, semi-major axis 1, period 2π; the orbit is tilted against all axes.",
         length: "",
-        time: "unit of time",
         size: Some(1.0),
         copies: 1,
         steps: &[
@@ -106,7 +100,6 @@ pub(crate) const SPECS: [Spec; 7] = [
         title: "Outer Solar System, 100,000 years",
         about: "The Sun, Jupiter, Saturn, Uranus and Neptune, and Pluto without mass, 36,525,000 days.",
         length: "AU",
-        time: "day",
         size: Some(30.0),
         copies: 1,
         steps: &[
@@ -125,7 +118,6 @@ pub(crate) const SPECS: [Spec; 7] = [
         title: "Pleiades: seven stars in a plane",
         about: "Masses 1 to 7 with near encounters, 3 units of time.",
         length: "",
-        time: "unit of time",
         size: Some(1.0),
         copies: 1,
         steps: &[
@@ -144,7 +136,6 @@ pub(crate) const SPECS: [Spec; 7] = [
         title: "Arenstorf's orbit around Earth and Moon",
         about: "A body without mass passes Earth and Moon closely, one period of 17.07.",
         length: "",
-        time: "unit of time",
         size: Some(1.0),
         copies: 1,
         steps: &[

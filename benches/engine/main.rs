@@ -1,23 +1,19 @@
 //! The engine measured, always against something measured beside it in the same run.
 //!
-//! `cargo bench` takes some minutes, prints every table and writes `docs/benchmarks.md`, `docs/benchmarks.csv` and the
-//! plots. `cargo bench -- stepping` measures one group and writes nothing. Without `--bench`, as in `cargo test`,
+//! `cargo bench` takes some minutes, prints every table and writes `docs/benchmarks.md` and
+//! `docs/benchmarks.csv`. `cargo bench -- stepping` measures one group and writes nothing. Without `--bench`, as in `cargo test`,
 //! everything runs once at small size and is checked.
 
 #![expect(clippy::print_stdout, reason = "the tables are what it is for")]
 #![expect(clippy::cast_precision_loss, reason = "counts of particles and nanoseconds are far below 2⁵³")]
 
 mod book;
-#[path = "../shared/colours.rs"]
-mod colours;
 mod compare;
 mod exact;
 #[path = "../shared/host.rs"]
 mod host;
 mod machine;
 mod memory;
-mod plot;
-mod plots;
 mod population;
 mod report;
 mod rest;

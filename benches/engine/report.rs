@@ -5,7 +5,6 @@ use std::path::Path;
 
 use crate::compare::{Case, Cell, Group, Measured};
 use crate::host;
-use crate::plots;
 use crate::table::{aligned, digits, grouped, time};
 
 pub(crate) fn print(groups: &[Group], measured: &[Measured]) {
@@ -16,7 +15,7 @@ pub(crate) fn print(groups: &[Group], measured: &[Measured]) {
     }
 }
 
-/// Writes `docs/benchmarks.md`, `docs/benchmarks.csv` and the plots.
+/// Writes `docs/benchmarks.md` and `docs/benchmarks.csv`.
 pub(crate) fn write(groups: &[Group], measured: &[Measured]) -> Result<(), Box<dyn std::error::Error>> {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
     std::fs::create_dir_all(&docs)?;
@@ -25,11 +24,7 @@ pub(crate) fn write(groups: &[Group], measured: &[Measured]) -> Result<(), Box<d
         writeln!(page, "* {what}: {value}")?;
     }
     page.push_str(METHOD);
-    page.push_str("\n## Plots\n");
-    for plot in &plots::PLOTS {
-        plot.draw(&docs.join(plot.file), measured)?;
-        write!(page, "\n![{}]({})\n\n{}\n", plot.title, plot.file, plot.caption)?;
-    }
+    page.push_str(PICTURES);
     for group in groups {
         if let Some(table) = table(group, measured) {
             write!(page, "\n## {}\n\n{}\n\n{table}", group.title, group.note)?;
@@ -37,7 +32,7 @@ pub(crate) fn write(groups: &[Group], measured: &[Measured]) -> Result<(), Box<d
     }
     std::fs::write(docs.join("benchmarks.md"), page)?;
     std::fs::write(docs.join("benchmarks.csv"), csv(measured))?;
-    println!("\nwritten: docs/benchmarks.md, docs/benchmarks.csv and the plots");
+    println!("\nwritten: docs/benchmarks.md and docs/benchmarks.csv; cargo run --example pictures draws them");
     Ok(())
 }
 
@@ -45,6 +40,36 @@ const METHOD: &str = "
 Everything that is compared ran side by side: round by round, each contender for some milliseconds, one right after the
 other. A time is the median of the rounds, a ratio the median of the ratios within each round. The machine may have been
 shared, so ratios hold better than times.
+";
+
+/// What `examples/pictures` draws.
+const PICTURES: &str = "
+## Pictures
+
+![Time of a particle and step, double](stepping-double.svg)
+
+The book takes one pow for each particle and step; the engine takes one for each distinct damping. Dashed is what the machine
+can do: reading and writing position and velocity, and the adds and multiplies of a step in registers.
+
+![Time of a particle and step, single](stepping-single.svg)
+
+![Time of a particle and step, nothing shared](stepping-per-particle.svg)
+
+One step reads acceleration, damping and mass of every particle; sixty steps read them once.
+
+![Time of one advance, double](growth.svg)
+
+Under `exact` an advance moves the clock, however many particles there are; a read of one particle evaluates that one.
+
+![Time of a particle and step, over the steps of an advance](steps.svg)
+
+More steps in one advance cost less each, until only arithmetic is left.
+
+![One thread and two, double](threads.svg)
+
+![A tick of a game server, double](tick.svg)
+
+`exact` evaluates each particle from its last change; the plain loop moves and stores all of them at every tick.
 ";
 
 /// `None` when nothing of the group was measured.

@@ -1,7 +1,7 @@
 //! The service under load and under faults, over loopback, as the process that its users run.
 //!
-//! `cargo bench --bench load` takes about three minutes, prints a table and writes `docs/load.md`, `docs/load.csv` and the
-//! plot. `cargo bench --bench load -- fairness` runs one case and writes nothing. Without `--bench`, as in `cargo test`,
+//! `cargo bench --bench load` takes about three minutes, prints a table and writes `docs/load.md` and `docs/load.csv`.
+//! `cargo bench --bench load -- fairness` runs one case and writes nothing. Without `--bench`, as in `cargo test`,
 //! everything runs once at small size. Every case checks what it was answered, in both ways; a case that fails is named,
 //! and the process ends with an error. A figure that misses its target is told, and is no failure.
 
@@ -13,8 +13,6 @@
 mod case;
 #[path = "../shared/client.rs"]
 mod client;
-#[path = "../shared/colours.rs"]
-mod colours;
 #[path = "../shared/echo.rs"]
 mod echo;
 mod ending;
@@ -26,7 +24,6 @@ mod load;
 mod malformed;
 mod many;
 mod overload;
-mod plot;
 #[path = "../shared/report.rs"]
 mod report;
 #[path = "../shared/server.rs"]
@@ -71,6 +68,7 @@ Every case also checks what it was answered, and writes nothing when a check fai
 once, each world told its revisions without a gap, and at the end it is, to the bit, the world that the library makes of as
 many advances.
 ",
+    picture: "How long light worlds wait",
 };
 
 fn main() -> ExitCode {

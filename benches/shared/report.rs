@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::case::Case;
 use crate::load::Latencies;
 use crate::table::{aligned, digits, grouped, time};
-use crate::{PAGE, host, plot};
+use crate::{PAGE, host};
 
 /// The page of a benchmark.
 pub(crate) struct Page {
@@ -14,6 +14,8 @@ pub(crate) struct Page {
     pub(crate) name: &'static str,
     pub(crate) title: &'static str,
     pub(crate) method: &'static str,
+    /// What `examples/pictures` draws of it.
+    pub(crate) picture: &'static str,
 }
 
 /// Collects figures and failed checks.
@@ -26,7 +28,6 @@ pub(crate) struct Bench {
     pub(crate) case: &'static str,
     pub(crate) figures: Vec<Figure>,
     pub(crate) failures: Vec<String>,
-    pub(crate) plot: plot::Data,
 }
 
 #[derive(Debug)]
@@ -60,7 +61,7 @@ impl Bench {
     pub(crate) fn new(measuring: bool) -> Self {
         let average = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
         let others = average.split(' ').next().unwrap_or_default().to_owned();
-        Self { measuring, others, case: "", figures: Vec::new(), failures: Vec::new(), plot: plot::Data::default() }
+        Self { measuring, others, case: "", figures: Vec::new(), failures: Vec::new() }
     }
 
     /// The first when it measures, the second when it only checks.
@@ -154,9 +155,9 @@ pub(crate) fn table(case: &Case, figures: &[Figure]) -> String {
     aligned(&rows)
 }
 
-/// Writes the page, every number as CSV, and the plot.
+/// Writes the page, and every number as CSV.
 pub(crate) fn write(cases: &[Case], bench: &Bench) -> Result<(), Box<dyn std::error::Error>> {
-    let Page { name, title, method } = PAGE;
+    let Page { name, title, method, picture } = PAGE;
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
     let mut page = format!("# {title}\n\nWritten by `cargo bench --bench {name}`; `{name}.csv` has every number.\n\n");
     for (what, value) in host::description() {
@@ -164,7 +165,7 @@ pub(crate) fn write(cases: &[Case], bench: &Bench) -> Result<(), Box<dyn std::er
     }
     writeln!(page, "* load average before the run: {}", bench.others)?;
     page.push_str(method);
-    write!(page, "\n![{}]({name}.svg)\n\n{}\n", plot::TITLE, plot::CAPTION)?;
+    write!(page, "\n![{picture}]({name}.svg)\n")?;
     let mut csv = String::from("case,figure,unit,measured,at_least,at_most,lower_quartile,upper_quartile\n");
     for case in cases {
         write!(page, "\n## {}\n\n{}\n\n{}", case.title, case.note, table(case, &bench.figures))?;
@@ -180,9 +181,8 @@ pub(crate) fn write(cases: &[Case], bench: &Bench) -> Result<(), Box<dyn std::er
         let Figure { case, what, value, unit, .. } = figure;
         writeln!(csv, "{case},\"{what}\",{},{value:.9},{least},{most},{quartiles}", unit.name())?;
     }
-    plot::draw(&docs.join(format!("{name}.svg")), &bench.plot)?;
     std::fs::write(docs.join(format!("{name}.md")), page)?;
     std::fs::write(docs.join(format!("{name}.csv")), csv)?;
-    println!("\nwritten: docs/{name}.md, docs/{name}.csv and the plot");
+    println!("\nwritten: docs/{name}.md and docs/{name}.csv; cargo run --example pictures draws them");
     Ok(())
 }

@@ -6,7 +6,6 @@ use pointmass::Integrator;
 
 use crate::Case;
 use crate::client::{request, request_with};
-use crate::plot::Row;
 use crate::raw;
 use crate::report::{Bench, Unit};
 use crate::rounds::{Contender, fetch, rounds};
@@ -77,11 +76,8 @@ fn some(bench: &mut Bench, [server, raw]: [&Server; 2], told: &str, count: usize
     for (i, way) in WAYS.into_iter().enumerate() {
         let told = format!("{told}: {way}");
         bench.record(format!("{told}, size of a particle"), bodies[i].1.len() as f64 / count as f64, Unit::Bytes);
-        let each = services[i].each(count);
-        each.record(bench, format!("{told}, a particle"), Unit::Seconds);
+        services[i].each(count).record(bench, format!("{told}, a particle"), Unit::Seconds);
         services[i].over(&sent[i]).record(bench, format!("{told} / raw socket"), Unit::Ratio);
-        let (service, raw) = (each.median(), sent[i].each(count).median());
-        bench.plot.push(Row { name: format!("in, {told}"), service, raw });
     }
     let ratio = services[0].over(&services[3]);
     ratio.record(bench, format!("{told}: JSON rows / CBOR typed arrays"), Unit::Ratio).at_least(20.0);

@@ -1,8 +1,8 @@
 //! State in and out over loopback: what a particle costs in each encoding, ticks and batches in one request, streams, and
 //! snapshots.
 //!
-//! `cargo bench --bench wire` takes about three minutes, prints tables and writes `docs/wire.md`, `docs/wire.csv` and the
-//! plot. `cargo bench --bench wire -- tick` runs one case and writes nothing. Without `--bench`, as in `cargo test`,
+//! `cargo bench --bench wire` takes about three minutes, prints tables and writes `docs/wire.md` and `docs/wire.csv`.
+//! `cargo bench --bench wire -- tick` runs one case and writes nothing. Without `--bench`, as in `cargo test`,
 //! everything runs once at small size. Every case checks what it was answered against the library; a case that fails is
 //! named, and the process ends with an error. A figure that misses its target is told, and is no failure.
 
@@ -17,9 +17,6 @@ mod cbor;
 #[path = "../shared/client.rs"]
 #[expect(dead_code, reason = "what only the other benchmark of the service asks for")]
 mod client;
-#[path = "../shared/colours.rs"]
-#[expect(dead_code, reason = "what only other plots draw with")]
-mod colours;
 mod create;
 #[path = "../shared/echo.rs"]
 mod echo;
@@ -31,7 +28,6 @@ mod large;
 #[expect(dead_code, reason = "what only the other benchmark of the service asks for")]
 mod load;
 mod out;
-mod plot;
 mod raw;
 #[path = "../shared/report.rs"]
 mod report;
@@ -71,6 +67,7 @@ both, into memory that it has already. The machine may have been shared, so rati
 Every case also checks what it was answered, and writes nothing when a check fails: each encoding, each event and each world
 in the end is, to the bit, what the library says.
 ",
+    picture: "What a particle costs",
 };
 
 fn main() -> ExitCode {

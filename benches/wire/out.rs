@@ -7,7 +7,6 @@ use pointmass::{Advance, Integrator};
 use crate::Case;
 use crate::cbor::Number;
 use crate::client::request_with;
-use crate::plot::Row;
 use crate::raw;
 use crate::report::{Bench, Unit};
 use crate::rounds::{fetch, memcpy, rounds};
@@ -98,11 +97,6 @@ fn one<R: Number>(bench: &mut Bench, [server, raw]: [&Server; 2], name: &str, sc
         if i == 4 && is_double {
             figure.at_most(1.5);
         }
-        bench.plot.push(Row {
-            name: format!("out, {told}"),
-            service: each.median(),
-            raw: sent[i].each(count).median(),
-        });
     }
     sent[4].each(count).record(bench, format!("{name}: raw socket with the bytes of CBOR, a particle"), Unit::Seconds);
     let copies = services[4].over(&copied);

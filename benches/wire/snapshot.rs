@@ -4,7 +4,6 @@ use pointmass::{Advance, Integrator, World};
 
 use crate::Case;
 use crate::client::{request, request_with};
-use crate::plot::Row;
 use crate::raw;
 use crate::report::{Bench, Unit};
 use crate::rounds::{change, fetch, memcpy, rounds};
@@ -63,8 +62,6 @@ fn run(bench: &mut Bench) {
         raw.record(bench, format!("{told}, raw socket"), Unit::Seconds);
         service.over(raw).record(bench, format!("{told} / raw socket"), Unit::Ratio);
         service.over(&copied).record(bench, format!("{told} / a copy in memory"), Unit::Ratio);
-        let (service, raw) = (service.each(count).median(), raw.each(count).median());
-        bench.plot.push(Row { name: format!("snapshot, {told}"), service, raw });
     }
     copied.record(bench, "a copy in memory", Unit::Seconds);
     let is_right = has_future_of(&mut other, "large", &world);

@@ -39,7 +39,7 @@ mod openapi;
 mod overload;
 /// Motion against closed forms, and the rules of the engine.
 mod physics;
-/// README.md keeps its word.
+/// README.md and the pages of docs/ keep their word.
 mod readme;
 /// Every refusal as data.
 mod refusals;
