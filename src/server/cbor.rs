@@ -19,7 +19,7 @@ use serde::forward_to_deserialize_any;
 use crate::column::Column;
 use crate::real::Real;
 use crate::server::body::RAW;
-use crate::server::json::{Element, explain};
+use crate::server::json::{Element, explain, member};
 use crate::server::memory::{ITEM_BYTES, NUMBER_ITEM_BYTES};
 use crate::server::problem::{Code, Problem};
 
@@ -38,14 +38,9 @@ pub(crate) fn without_mark(body: &[u8]) -> &[u8] {
 /// CBOR says where.
 pub(crate) fn read<'a, T: Deserialize<'a>>(bytes: &'a [u8], prefix: &str) -> Result<T, Problem> {
     let mut items = Items::new(bytes);
-    // As with JSON, the path is kept only to explain a failure.
-    T::deserialize(&mut items).and_then(|value| items.end().map(|()| value)).or_else(|_| {
-        let mut items = Items::new(bytes);
-        if let Err(Fault::Malformed(reason)) = items.walk(&mut Census::default()).and_then(|()| items.end()) {
-            return Err(Problem::new(Code::MalformedCbor, format!("the body is not CBOR: {reason}")));
-        }
-        serde_path_to_error::deserialize(&mut Items::new(bytes)).map_err(|error| explain(&error, prefix))
-    })
+    T::deserialize(&mut items)
+        .and_then(|value| items.end().map(|()| value))
+        .map_err(|fault| items.refusal(&fault, prefix))
 }
 
 /// Whether a value is text.
@@ -153,11 +148,13 @@ enum Left {
 /// The items of a body, one of which is next.
 struct Items<'a> {
     decoder: Decoder<'a>,
+    /// The pointer to what could not be read, its last part first.
+    trail: Vec<String>,
 }
 
 impl<'a> Items<'a> {
     fn new(bytes: &'a [u8]) -> Self {
-        Self { decoder: Decoder::new(bytes) }
+        Self { decoder: Decoder::new(bytes), trail: Vec::new() }
     }
 
     fn rest(&self) -> usize {
@@ -167,6 +164,23 @@ impl<'a> Items<'a> {
     /// Passes over an item of one byte.
     fn pass(&mut self) {
         self.decoder.set_position(self.decoder.position() + 1);
+    }
+
+    /// Why it is not read.
+    fn refusal(&self, fault: &Fault, prefix: &str) -> Problem {
+        let mut all = Items::new(self.decoder.input());
+        if let Err(Fault::Malformed(reason)) = all.walk(&mut Census::default()).and_then(|()| all.end()) {
+            return Problem::new(Code::MalformedCbor, format!("the body is not CBOR: {reason}"));
+        }
+        let trail: String = self.trail.iter().rev().map(String::as_str).collect();
+        explain(fault.to_string(), &format!("{prefix}{trail}"))
+    }
+
+    /// Notes that the member whose name is here could not be read.
+    fn leave_member(&mut self, at: usize) {
+        let mut name = Decoder::new(&self.decoder.input()[at..]);
+        let name: Result<String, _> = name.str_iter().and_then(Iterator::collect);
+        self.trail.extend(name.map(|name| member(&name)));
     }
 
     /// Refuses what stands behind the value.
@@ -285,6 +299,33 @@ impl<'a> Items<'a> {
         }
     }
 
+    fn item(&mut self) -> Result<Item<'a>, Fault> {
+        if let Some(number) = self.number()? {
+            return Ok(Item::Number(number));
+        }
+        Ok(match self.decoder.datatype()? {
+            Type::Bool => Item::Bool(self.decoder.bool()?),
+            Type::Null => {
+                self.pass();
+                Item::Null
+            }
+            Type::String => Item::Text(self.decoder.str()?),
+            Type::StringIndef => Item::TextInParts(self.decoder.str_iter()?.collect::<Result<_, _>>()?),
+            Type::Bytes => Item::Bytes(self.decoder.bytes()?),
+            Type::Array | Type::ArrayIndef => Item::List(self.decoder.array()?),
+            Type::Map | Type::MapIndef => Item::Object(self.decoder.map()?),
+            Type::Tag => Item::Typed(self.tagged()?),
+            Type::Undefined => {
+                return Err(Fault::custom("undefined is no value here; where there is none, write null"));
+            }
+            Type::Simple => return Err(Fault::custom("of simple values only false, true and null are read")),
+            Type::BytesIndef => {
+                return Err(Fault::custom("a string of bytes in parts is read in a typed array only"));
+            }
+            kind => return Err(malformed(format!("{kind} begins no value"))),
+        })
+    }
+
     fn number(&mut self) -> Result<Option<Number>, Fault> {
         Ok(Some(match self.decoder.datatype()? {
             Type::U8 | Type::U16 | Type::U32 | Type::U64 => Number::Whole(self.decoder.u64()?),
@@ -342,40 +383,42 @@ fn half(bits: u16) -> f64 {
     if bits >> 15 == 1 { -magnitude } else { magnitude }
 }
 
+/// What is next: a value, or the head of one that has others in it, with how many, if that is said.
+enum Item<'a> {
+    Number(Number),
+    Bool(bool),
+    Null,
+    Text(&'a str),
+    TextInParts(String),
+    Bytes(&'a [u8]),
+    List(Option<u64>),
+    Object(Option<u64>),
+    Typed(TypedArray<'a>),
+}
+
 /// Reads a value by what it is to become; what it becomes refuses what it cannot be.
 impl<'de> Deserializer<'de> for &mut Items<'de> {
     type Error = Fault;
 
     fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Fault> {
-        if let Some(number) = self.number()? {
-            return number.deserialize_any(visitor);
-        }
-        match self.decoder.datatype()? {
-            Type::Bool => visitor.visit_bool(self.decoder.bool()?),
-            Type::Null => {
-                self.pass();
-                visitor.visit_unit()
-            }
-            Type::String => visitor.visit_borrowed_str(self.decoder.str()?),
-            Type::StringIndef => visitor.visit_string(self.decoder.str_iter()?.collect::<Result<_, _>>()?),
-            Type::Bytes => visitor.visit_borrowed_bytes(self.decoder.bytes()?),
-            Type::Array | Type::ArrayIndef => {
-                let left = self.decoder.array()?;
-                let mut listed = Listed { items: self, left };
+        match self.item()? {
+            Item::Number(number) => number.deserialize_any(visitor),
+            Item::Bool(value) => visitor.visit_bool(value),
+            Item::Null => visitor.visit_unit(),
+            Item::Text(text) => visitor.visit_borrowed_str(text),
+            Item::TextInParts(text) => visitor.visit_string(text),
+            Item::Bytes(bytes) => visitor.visit_borrowed_bytes(bytes),
+            Item::List(left) => {
+                let mut listed = Listed { items: self, left, last: 0 };
                 let value = visitor.visit_seq(&mut listed)?;
                 listed.end().map(|()| value)
             }
-            Type::Map | Type::MapIndef => {
-                let left = self.decoder.map()?;
-                let mut listed = Listed { items: self, left };
+            Item::Object(left) => {
+                let mut listed = Listed { items: self, left, last: 0 };
                 let value = visitor.visit_map(&mut listed)?;
                 listed.end().map(|()| value)
             }
-            Type::Tag => visitor.visit_seq(TypedItems { array: self.tagged()?, next: 0 }),
-            Type::Undefined => Err(Fault::custom("undefined is no value here; where there is none, write null")),
-            Type::Simple => Err(Fault::custom("of simple values only false, true and null are read")),
-            Type::BytesIndef => Err(Fault::custom("a string of bytes in parts is read in a typed array only")),
-            kind => Err(malformed(format!("{kind} begins no value"))),
+            Item::Typed(array) => visitor.visit_seq(TypedItems { array, next: 0, trail: &mut self.trail }),
         }
     }
 
@@ -426,6 +469,8 @@ struct Listed<'i, 'de> {
     items: &'i mut Items<'de>,
     /// `None`: up to a break.
     left: Option<u64>,
+    /// After the last value of a list, how many there were; the place of the last name of an object.
+    last: usize,
 }
 
 impl Listed<'_, '_> {
@@ -457,7 +502,13 @@ impl<'de> SeqAccess<'de> for &mut Listed<'_, 'de> {
     type Error = Fault;
 
     fn next_element_seed<T: DeserializeSeed<'de>>(&mut self, seed: T) -> Result<Option<T::Value>, Fault> {
-        if self.has_next()? { seed.deserialize(&mut *self.items).map(Some) } else { Ok(None) }
+        if !self.has_next()? {
+            return Ok(None);
+        }
+        self.last += 1;
+        seed.deserialize(&mut *self.items)
+            .map(Some)
+            .inspect_err(|_| self.items.trail.push(format!("/{}", self.last - 1)))
     }
 
     fn size_hint(&self) -> Option<usize> {
@@ -473,13 +524,16 @@ impl<'de> MapAccess<'de> for &mut Listed<'_, 'de> {
             return Ok(None);
         }
         match self.items.decoder.datatype()? {
-            Type::String | Type::StringIndef => seed.deserialize(&mut *self.items).map(Some),
+            Type::String | Type::StringIndef => {
+                self.last = self.items.decoder.position();
+                seed.deserialize(&mut *self.items).map(Some).inspect_err(|_| self.items.leave_member(self.last))
+            }
             kind => Err(Fault::custom(format_args!("the name of a member is text; this one is {kind}"))),
         }
     }
 
     fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, Fault> {
-        seed.deserialize(&mut *self.items)
+        seed.deserialize(&mut *self.items).inspect_err(|_| self.items.leave_member(self.last))
     }
 
     fn size_hint(&self) -> Option<usize> {
@@ -497,7 +551,7 @@ enum Number {
 
 impl Number {
     #[expect(clippy::cast_precision_loss, reason = "the nearest")]
-    fn double(self) -> f64 {
+    fn nearest(self) -> f64 {
         match self {
             Self::Whole(x) => x as f64,
             Self::Negative(x) => x as f64,
@@ -505,17 +559,23 @@ impl Number {
         }
     }
 
+    fn double(self) -> Result<f64, Fault> {
+        let x = self.nearest();
+        if x.is_finite() { Ok(x) } else { Err(self.out_of_range()) }
+    }
+
     #[expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, reason = "the nearest, rounded once")]
-    fn single(self) -> f32 {
-        match self {
+    fn single(self) -> Result<f32, Fault> {
+        let x = match self {
             Self::Whole(x) => x as f32,
             Self::Negative(x) => x as f32,
             Self::Float(x) => x as f32,
-        }
+        };
+        if x.is_finite() { Ok(x) } else { Err(self.out_of_range()) }
     }
 
     fn out_of_range(self) -> Fault {
-        Fault::custom(format_args!("number out of range: {:e}", self.double()))
+        Fault::custom(format_args!("number out of range: {:e}", self.nearest()))
     }
 }
 
@@ -525,22 +585,17 @@ impl<'de> Deserializer<'de> for Number {
     fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Fault> {
         match self {
             Self::Whole(x) => visitor.visit_u64(x),
-            Self::Negative(x) => match i64::try_from(x) {
-                Ok(x) => visitor.visit_i64(x),
-                Err(_) => self.deserialize_f64(visitor),
-            },
-            Self::Float(_) => self.deserialize_f64(visitor),
+            Self::Negative(x) if let Ok(x) = i64::try_from(x) => visitor.visit_i64(x),
+            Self::Negative(_) | Self::Float(_) => visitor.visit_f64(self.double()?),
         }
     }
 
     fn deserialize_f64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Fault> {
-        let x = self.double();
-        if x.is_finite() { visitor.visit_f64(x) } else { Err(self.out_of_range()) }
+        visitor.visit_f64(self.double()?)
     }
 
     fn deserialize_f32<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Fault> {
-        let x = self.single();
-        if x.is_finite() { visitor.visit_f32(x) } else { Err(self.out_of_range()) }
+        visitor.visit_f32(self.single()?)
     }
 
     fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Fault> {
@@ -649,18 +704,19 @@ impl TypedArray<'_> {
 }
 
 /// A typed array where a list is read value by value.
-struct TypedItems<'a> {
+struct TypedItems<'i, 'a> {
     array: TypedArray<'a>,
     next: usize,
+    trail: &'i mut Vec<String>,
 }
 
-impl<'de> SeqAccess<'de> for TypedItems<'_> {
+impl<'de> SeqAccess<'de> for TypedItems<'_, '_> {
     type Error = Fault;
 
     fn next_element_seed<T: DeserializeSeed<'de>>(&mut self, seed: T) -> Result<Option<T::Value>, Fault> {
         let Some(number) = self.array.get(self.next) else { return Ok(None) };
         self.next += 1;
-        seed.deserialize(number).map(Some)
+        seed.deserialize(number).map(Some).inspect_err(|_| self.trail.push(format!("/{}", self.next - 1)))
     }
 
     fn size_hint(&self) -> Option<usize> {

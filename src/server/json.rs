@@ -51,16 +51,19 @@ pub(crate) fn text(body: &[u8]) -> Result<&str, Problem> {
 pub(crate) fn parse_part<'a, T: Deserialize<'a>>(text: &'a str, prefix: &str) -> Result<T, Problem> {
     // Keeping track of the path costs a third on large bodies, so it is kept only to explain a failure.
     serde_json::from_str(text).or_else(|_| {
-        if let Err(error) = serde_json::from_str::<IgnoredAny>(text) {
-            return Err(Problem::new(Code::MalformedJson, format!("the body is not JSON: {error}")));
-        }
-        serde_path_to_error::deserialize(&mut serde_json::Deserializer::from_str(text))
-            .map_err(|error| explain(&error, prefix))
+        check(text)?;
+        let mut again = serde_json::Deserializer::from_str(text);
+        serde_path_to_error::deserialize(&mut again).map_err(|error| wrong(&error, prefix))
     })
 }
 
-/// What is wrong, and where; `prefix` is the pointer to what was read.
-pub(crate) fn explain<E: fmt::Display>(error: &serde_path_to_error::Error<E>, prefix: &str) -> Problem {
+/// Whether it is JSON at all.
+fn check(text: &str) -> Result<(), Problem> {
+    let malformed = |error| Problem::new(Code::MalformedJson, format!("the body is not JSON: {error}"));
+    serde_json::from_str::<IgnoredAny>(text).map(drop).map_err(malformed)
+}
+
+fn wrong(error: &serde_path_to_error::Error<serde_json::Error>, prefix: &str) -> Problem {
     let mut detail = error.inner().to_string();
     // Inside a part, line and column would be those of the part.
     if !prefix.is_empty()
@@ -68,6 +71,11 @@ pub(crate) fn explain<E: fmt::Display>(error: &serde_path_to_error::Error<E>, pr
     {
         detail.truncate(end);
     }
+    explain(detail, &format!("{prefix}{}", pointer(error.path())))
+}
+
+/// What is wrong, and the pointer to where.
+pub(crate) fn explain(mut detail: String, pointer: &str) -> Problem {
     // What a number is to the service is of no use to its client.
     for (own, word) in
         [("f64", "a number"), ("f32", "a number"), ("u64", "a whole number"), ("usize", "a whole number")]
@@ -87,7 +95,7 @@ pub(crate) fn explain<E: fmt::Display>(error: &serde_path_to_error::Error<E>, pr
     // An absent or repeated field is told with the object that has it; the name stands in the sentence.
     let field = matches!(code, Code::DuplicateField | Code::MissingField).then(|| detail.split('`').nth(1)).flatten();
     let field = field.map(|name| format!("/{name}")).unwrap_or_default();
-    Problem::at(code, format!("{prefix}{}{field}", pointer(error.path())), detail)
+    Problem::at(code, format!("{pointer}{field}"), detail)
 }
 
 /// JSON Pointer (RFC 6901).

@@ -14,11 +14,12 @@ use tokio::sync::{Notify, OwnedMutexGuard, OwnedSemaphorePermit};
 
 use crate::real::Real;
 use crate::server::body::Body;
+use crate::server::coding::Coding;
 use crate::server::columns;
 use crate::server::config::{ANSWER_BYTES_MAX, Config};
 use crate::server::content::{self, Content};
 use crate::server::extract::{Change, Read, Target};
-use crate::server::idempotency::{Answers, Attempt, ENTRY_BYTES, KEPT_ANSWER_BYTES_MAX, Key, KeyLimits};
+use crate::server::idempotency::{Answers, Attempt, Claim, ENTRY_BYTES, KEPT_ANSWER_BYTES_MAX, Key, KeyLimits};
 use crate::server::json::WireReal;
 use crate::server::memory::{Charge, Memory, NUMBER_BYTES, PARTICLE_BYTES};
 use crate::server::problem::{Code, Problem};
@@ -318,11 +319,11 @@ impl<R: WireReal> Slot<R> {
     /// Changes the world: waits for its turn, checks in the order of the contract, applies, publishes.
     ///
     /// `cost` estimates what `apply` costs.
-    pub(crate) async fn change<T: Send + 'static>(
+    pub(crate) async fn change<T: Send + Sync + 'static>(
         self: &Arc<Self>,
         change: &Change,
         parsed: Result<T, Problem>,
-        cost: impl Fn(&World<R>, &T) -> Cost,
+        cost: impl Fn(&World<R>, &T) -> Cost + Sync,
         apply: impl FnOnce(&mut World<R>, T, &AtomicBool) -> Result<Reply, Problem> + Send + 'static,
     ) -> Result<Reply, Problem> {
         let claim = match change.key.as_ref().map(|key| self.answers.attempt(key.as_ref().map_err(Clone::clone)?)) {
@@ -347,14 +348,26 @@ impl<R: WireReal> Slot<R> {
             let cost = parsed.as_ref().map(|parsed| cost(world, parsed)).map_err(Clone::clone)?;
             if claim.is_some() { cost.with_key() } else { Ok(cost) }
         };
-        let mut turn = self.turn(&change.target, check).await?;
+        let turn = self.turn(&change.target, &check).await?;
         let parsed = parsed?;
-        let (slot, coding) = (Arc::clone(self), change.coding);
+        let apply = Box::new(move |world: &mut World<R>, cancelled: &AtomicBool| apply(world, parsed, cancelled));
+        self.finish(turn, claim, change.coding, apply).await
+    }
+
+    /// Applies a change whose turn it is, and publishes it.
+    async fn finish(
+        self: &Arc<Self>,
+        mut turn: Turn<R>,
+        claim: Option<Claim>,
+        coding: Option<Coding>,
+        apply: Box<dyn FnOnce(&mut World<R>, &AtomicBool) -> Result<Reply, Problem> + Send>,
+    ) -> Result<Reply, Problem> {
+        let slot = Arc::clone(self);
         run(turn.work, move |cancelled| {
             let held = &mut *turn.held;
             held.interrupted = true;
             let world = held.world.as_mut().expect("it was there above, under the same lock");
-            let reply = apply(world, parsed, cancelled).map(|reply| reply.at(world.revision()));
+            let reply = apply(world, cancelled).map(|reply| reply.at(world.revision()));
             let reply = if claim.is_some() { reply.map(Reply::whole) } else { reply };
             slot.description.lock().unwrap_or_else(PoisonError::into_inner).update(world);
             if let (Ok(reply), Some(claim)) = (&reply, claim) {
@@ -369,11 +382,11 @@ impl<R: WireReal> Slot<R> {
     }
 
     /// Reads the world in its turn.
-    pub(crate) async fn read<Q: Send + 'static>(
+    pub(crate) async fn read<Q: Send + Sync + 'static>(
         self: &Arc<Self>,
         read: &Read,
         query: Result<Q, Problem>,
-        cost: impl Fn(&World<R>, &Q) -> Cost,
+        cost: impl Fn(&World<R>, &Q) -> Cost + Sync,
         answer: impl FnOnce(&World<R>, Q, &AtomicBool) -> Result<Content, Problem> + Send + 'static,
     ) -> Result<Response, Problem> {
         let (revision, seen) = self.look(read, query, cost, answer).await?;
@@ -385,11 +398,11 @@ impl<R: WireReal> Slot<R> {
 
     /// Looks at the world in its turn: its revision, and unless the client has that already, what it saw, and the charge
     /// for it.
-    pub(crate) async fn look<Q: Send + 'static, T: Send + 'static>(
+    pub(crate) async fn look<Q: Send + Sync + 'static, T: Send + 'static>(
         self: &Arc<Self>,
         read: &Read,
         query: Result<Q, Problem>,
-        cost: impl Fn(&World<R>, &Q) -> Cost,
+        cost: impl Fn(&World<R>, &Q) -> Cost + Sync,
         look: impl FnOnce(&World<R>, Q, &AtomicBool) -> Result<T, Problem> + Send + 'static,
     ) -> Result<(u64, Option<(T, Charge)>), Problem> {
         let Read { target, preconditions, .. } = read;
@@ -397,7 +410,7 @@ impl<R: WireReal> Slot<R> {
             let query = query.as_ref().map_err(Clone::clone)?;
             Ok(if preconditions.has(world.revision()) { Cost::default() } else { cost(world, query) })
         };
-        let mut turn = self.turn(target, check).await?;
+        let mut turn = self.turn(target, &check).await?;
         let query = query?;
         let revision = turn.held.world(target)?.revision();
         if preconditions.has(revision) {
@@ -421,7 +434,7 @@ impl<R: WireReal> Slot<R> {
     async fn turn(
         &self,
         target: &Target,
-        check: impl Fn(&World<R>) -> Result<Cost, Problem>,
+        check: &(dyn Fn(&World<R>) -> Result<Cost, Problem> + Sync),
     ) -> Result<Turn<R>, Problem> {
         let mut held = self.lock().await?;
         let mut place = None;
@@ -559,8 +572,13 @@ async fn run<T: Send + 'static>(
 pub(crate) async fn in_pool<T: Send + 'static>(
     job: impl FnOnce() -> Result<T, Problem> + Send + 'static,
 ) -> Result<T, Problem> {
+    let (tell, told) = tokio::sync::oneshot::channel();
+    // One type of task for all jobs: each would be compiled with all that the runtime does for it.
+    let job: Box<dyn FnOnce() + Send> = Box::new(move || {
+        let _gone = tell.send(job());
+    });
     match tokio::task::spawn_blocking(job).await {
-        Ok(result) => result,
+        Ok(()) => told.await.expect("told before the job ends"),
         Err(error) => match error.try_into_panic() {
             Ok(panic) => std::panic::resume_unwind(panic),
             Err(_) => Err(Problem::plain(Code::ShuttingDown)),

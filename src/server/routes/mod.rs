@@ -31,11 +31,11 @@ use crate::world::World;
 
 impl Change {
     /// Changes the world of the path by a body without query parameters.
-    pub(crate) async fn apply<R: WireReal, T: Send + 'static>(
+    pub(crate) async fn apply<R: WireReal, T: Send + Sync + 'static>(
         &self,
         slot: &Arc<Slot<R>>,
         parsed: Result<T, Problem>,
-        cost: impl Fn(&World<R>, &T) -> Cost,
+        cost: impl Fn(&World<R>, &T) -> Cost + Sync,
         apply: impl FnOnce(&mut World<R>, T, &AtomicBool) -> Result<Reply, Problem> + Send + 'static,
     ) -> Result<Response, Problem> {
         let parsed = parsed.and_then(|parsed| self.query::<NoParameters>().map(|_| parsed));
