@@ -137,6 +137,7 @@ fn documented_routes() -> OpenApiRouter<Arc<App>> {
         .merge(routes::stream::routes())
         .merge(routes::snapshot::routes())
         .merge(routes::service::routes())
+        .merge(routes::docs::routes())
 }
 
 /// The service as a function of requests, without a network.
