@@ -21,6 +21,10 @@ use crate::server::front::REQUEST_ID;
 use crate::server::idempotency::IDEMPOTENCY_REPLAYED;
 use crate::server::problem::{Code, Problem};
 
+/// Routes that need no token: they tell no secret of a world. What explains a refusal and leads to the rest is among them.
+pub(crate) const OPEN: [&str; 8] =
+    ["/", "/docs", "/docs/", "/docs/{asset}", "/openapi.json", "/healthz", "/readyz", "/problems/{code}"];
+
 pub(crate) fn admit(app: &App, request: &Request, route: Option<&str>) -> Result<(), Problem> {
     let headers = request.headers();
     let host = host(request)?;
@@ -41,8 +45,7 @@ pub(crate) fn admit(app: &App, request: &Request, route: Option<&str>) -> Result
     if !health && app.draining.load(Ordering::SeqCst) {
         return Err(Problem::plain(Code::ShuttingDown));
     }
-    // What explains a refusal is no secret either.
-    let open = health || route == Some("/problems/{code}");
+    let open = route.is_some_and(|route| OPEN.contains(&route));
     match &app.tokens {
         Some(tokens) if !open => {
             tokens.read().unwrap_or_else(PoisonError::into_inner).admit(headers, !request.method().is_safe())

@@ -30,22 +30,32 @@ impl Coding {
 
     /// What the client names and likes at least as much as an answer as it is; `*` asks for nothing.
     pub(crate) fn accepted(headers: &HeaderMap) -> Option<Self> {
-        let weight = |name: &str| {
-            let lists = headers.get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
-            lists.flat_map(|list| list.split(',')).find_map(|item| {
-                let (coding, weight) = item.split_once(';').unwrap_or((item, "q=1"));
-                let weight = weight.trim().strip_prefix("q=").and_then(|weight| weight.parse::<f32>().ok());
-                coding.trim().eq_ignore_ascii_case(name).then_some(weight.unwrap_or(0.0))
-            })
-        };
         if !headers.contains_key(header::ACCEPT_ENCODING) {
             return None;
         }
-        let plain = weight("identity").unwrap_or(0.0);
-        let asked = Self::ALL.into_iter().filter_map(|coding| Some((coding, weight(coding.name())?)));
-        let asked = asked.filter(|(_, weight)| *weight > 0.0 && *weight >= plain);
+        let asked = Self::ALL.into_iter().filter_map(|coding| Some((coding, coding.asked(headers)?)));
         asked.reduce(|a, b| if b.1 > a.1 { b } else { a }).map(|(coding, _)| coding)
     }
+
+    /// Whether the client names this one, however much it likes another.
+    pub(crate) fn is_accepted(self, headers: &HeaderMap) -> bool {
+        self.asked(headers).is_some()
+    }
+
+    /// The weight of this one, where it is named and liked at least as much as an answer as it is.
+    fn asked(self, headers: &HeaderMap) -> Option<f32> {
+        let plain = weight(headers, "identity").unwrap_or(0.0);
+        weight(headers, self.name()).filter(|weight| *weight > 0.0 && *weight >= plain)
+    }
+}
+
+fn weight(headers: &HeaderMap, name: &str) -> Option<f32> {
+    let lists = headers.get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
+    lists.flat_map(|list| list.split(',')).find_map(|item| {
+        let (coding, weight) = item.split_once(';').unwrap_or((item, "q=1"));
+        let weight = weight.trim().strip_prefix("q=").and_then(|weight| weight.parse::<f32>().ok());
+        coding.trim().eq_ignore_ascii_case(name).then_some(weight.unwrap_or(0.0))
+    })
 }
 
 /// Packs an answer a piece at a time.

@@ -140,6 +140,7 @@ fn documented_routes() -> OpenApiRouter<Arc<App>> {
         .merge(routes::stream::routes())
         .merge(routes::snapshot::routes())
         .merge(routes::service::routes())
+        .merge(routes::docs::routes())
 }
 
 /// The methods that a path has.

@@ -1,15 +1,25 @@
 //! The `OpenAPI` description: paths and bodies come from the routes, what all of them share is added here.
 
+use std::collections::BTreeMap;
+
+use serde_json::{Value, json};
+use utoipa::openapi::example::{Example, ExampleBuilder};
 use utoipa::openapi::header::Header;
 use utoipa::openapi::path::{Operation, Parameter, ParameterBuilder, ParameterIn};
-use utoipa::openapi::schema::{Object, Schema, Type};
+use utoipa::openapi::schema::{
+    AdditionalProperties, KnownFormat, Object, ObjectBuilder, Schema, SchemaFormat, SchemaType, Type,
+};
 use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{
     ContentBuilder, InfoBuilder, LicenseBuilder, OpenApi, PathItem, Ref, RefOr, Required, ResponseBuilder, Tag,
 };
 use utoipa::{PartialSchema, ToSchema};
 
+use crate::server::access::OPEN;
 use crate::server::problem::{Code, ProblemBody};
+
+/// Stands for `application/cbor` until the text is made: maps of content are sorted by name, and clients take the first.
+const CBOR_AFTER_JSON: &str = "application/x-cbor";
 
 /// The whole description as JSON.
 pub(crate) fn document(mut api: OpenApi) -> Vec<u8> {
@@ -17,7 +27,8 @@ pub(crate) fn document(mut api: OpenApi) -> Vec<u8> {
         .title("pointmass")
         .version(env!("CARGO_PKG_VERSION"))
         .description(Some(INTRODUCTION))
-        .license(Some(LicenseBuilder::new().name("MIT OR Apache-2.0").identifier(Some("MIT OR Apache-2.0")).build()))
+        // Its identifier would be shown as a link to a page of that name, which of two licenses there is not.
+        .license(Some(LicenseBuilder::new().name("MIT OR Apache-2.0").build()))
         .build();
     api.tags = Some(
         [
@@ -40,6 +51,11 @@ pub(crate) fn document(mut api: OpenApi) -> Vec<u8> {
     let mut nested = Vec::new();
     ProblemBody::schemas(&mut nested);
     components.schemas.extend(nested);
+    components.schemas.values_mut().for_each(close);
+    for code in Code::ALL {
+        let example = ExampleBuilder::new().summary(code.title()).value(Some(code.example())).build();
+        components.examples.insert(code.name().to_owned(), RefOr::T(example));
+    }
     components.security_schemes.insert(
         "token".to_owned(),
         RefOr::T(SecurityScheme::Http(
@@ -53,8 +69,36 @@ pub(crate) fn document(mut api: OpenApi) -> Vec<u8> {
         }
     }
     // Shapes are generic over the precision; the description shows them once, without the name of the type.
-    let text = api.to_pretty_json().expect("a description is plain data").replace("_f64", "");
+    let text = api.to_pretty_json().expect("a description is plain data");
+    // The registry of formats has no hyphen there.
+    let text = text.replace("_f64", "").replace("\"u-int", "\"uint").replace(CBOR_AFTER_JSON, "application/cbor");
     (text + "\n").into_bytes()
+}
+
+/// Bytes that are no JSON.
+pub(crate) fn binary(description: &str) -> Schema {
+    let bytes =
+        ObjectBuilder::new().schema_type(Type::String).format(Some(SchemaFormat::KnownFormat(KnownFormat::Binary)));
+    bytes.description(Some(description)).build().into()
+}
+
+/// An object has the members that are described and no others, so that a value is of one shape alone.
+fn close(schema: &mut RefOr<Schema>) {
+    if let RefOr::T(Schema::Object(object)) = schema
+        && !object.properties.is_empty()
+    {
+        object.additional_properties.get_or_insert_with(|| Box::new(AdditionalProperties::FreeForm(false)));
+        object.properties.values_mut().for_each(size);
+    }
+}
+
+/// Counts have no format of their own.
+fn size(schema: &mut RefOr<Schema>) {
+    if let RefOr::T(Schema::Object(object)) = schema
+        && object.schema_type == SchemaType::Type(Type::Integer)
+    {
+        object.format.get_or_insert(SchemaFormat::KnownFormat(KnownFormat::UInt64));
+    }
 }
 
 const INTRODUCTION: &str = "Worlds of point-mass particles: create, set, advance by a duration, read. \
@@ -75,41 +119,40 @@ fn operations(item: &mut PathItem) -> impl Iterator<Item = (&'static str, &mut O
 
 /// Adds what follows from path and method: names in the path, conditional headers, and every problem.
 fn complete(path: &str, method: &str, operation: &mut Operation) {
+    if OPEN.contains(&path) {
+        operation.security = Some(Vec::new());
+    }
     let parameters = operation.parameters.get_or_insert_default();
+    for parameter in &mut *parameters {
+        if let RefOr::T(Parameter { schema: Some(schema), .. }) = parameter {
+            size(schema);
+        }
+    }
     if path.contains("{world}") {
-        parameters.push(parameter("world", ParameterIn::Path, "the name of the world", Type::String));
+        let text = Object::with_type(Type::String);
+        parameters.push(in_path("world", "the name of the world", text, json!("demo")));
     }
     if path.contains("{id}") {
-        parameters.push(parameter("id", ParameterIn::Path, "the id of the particle", Type::Integer));
+        let id = ObjectBuilder::new().schema_type(Type::Integer).minimum(Some(0_u32));
+        let id = id.format(Some(SchemaFormat::KnownFormat(KnownFormat::UInt64))).build();
+        parameters.push(in_path("id", "the id of the particle", id, json!(0)));
     }
     let of_a_world = path.contains("{world}");
     if of_a_world && method == "get" {
-        parameters.push(parameter(
-            "if-none-match",
-            ParameterIn::Header,
-            "answer 304 when this is still the revision",
-            Type::String,
-        ));
+        parameters.push(in_header("if-none-match", "answer 304 when this is still the revision"));
         let etag = Header::new(Schema::Object(Object::with_type(Type::String)));
         let unchanged = ResponseBuilder::new().description("Not modified").header("etag", etag).build();
         operation.responses.responses.insert("304".to_owned(), RefOr::T(unchanged));
     }
     if of_a_world && method != "get" {
-        parameters.push(parameter(
-            "if-match",
-            ParameterIn::Header,
-            "refuse with 412 when this is no longer the revision",
-            Type::String,
-        ));
+        parameters.push(in_header("if-match", "refuse with 412 when this is no longer the revision"));
     }
     if path.starts_with("/v1/") && method != "get" {
-        parameters.push(parameter(
+        parameters.push(in_header(
             "idempotency-key",
-            ParameterIn::Header,
             "1 to 255 bytes; the same request sent again with the same key is done once, and answered with \
              `idempotency-replayed: true`. A world keeps the answers of its last changes with a key: `keys_max` of them, \
              for `key_lifetime_ms` (GET /v1)",
-            Type::String,
         ));
     }
     if let Some(RefOr::T(body)) = &mut operation.request_body {
@@ -117,7 +160,7 @@ fn complete(path: &str, method: &str, operation: &mut Operation) {
             matches!(operation.operation_id.as_deref(), Some("create_world" | "create_named_by_service"));
         // The same shapes.
         let json = body.content.get("application/json").cloned();
-        body.content.extend(json.map(|json| ("application/cbor".to_owned(), json)));
+        body.content.extend(json.map(|json| (CBOR_AFTER_JSON.to_owned(), json)));
         body.required = Some(if may_be_empty { Required::False } else { Required::True });
     }
     for response in operation.responses.responses.values_mut() {
@@ -127,31 +170,46 @@ fn complete(path: &str, method: &str, operation: &mut Operation) {
         }
         if path.starts_with("/v1") {
             let json = response.content.get("application/json").cloned();
-            response.content.extend(json.map(|json| ("application/cbor".to_owned(), json)));
+            response.content.extend(json.map(|json| (CBOR_AFTER_JSON.to_owned(), json)));
         }
     }
-    let mut by_status: std::collections::BTreeMap<u16, Vec<Code>> = std::collections::BTreeMap::new();
+    let mut by_status: BTreeMap<u16, Vec<Code>> = BTreeMap::new();
     for code in codes(path, method, operation.operation_id.as_deref().unwrap_or_default()) {
         by_status.entry(code.status().as_u16()).or_default().push(code);
     }
     for (status, codes) in by_status {
         let listed: Vec<String> = codes.iter().map(|code| format!("`{}`", code.name())).collect();
-        let content = ContentBuilder::new().schema(Some(RefOr::Ref(Ref::from_schema_name("Problem")))).build();
+        let example = |code: &Code| {
+            (code.name(), RefOr::<Example>::Ref(Ref::new(format!("#/components/examples/{}", code.name()))))
+        };
+        let content = ContentBuilder::new()
+            .schema(Some(Ref::from_schema_name("Problem")))
+            .examples_from_iter(codes.iter().map(example))
+            .build();
         let response =
             ResponseBuilder::new().description(listed.join(", ")).content("application/problem+json", content);
         operation.responses.responses.insert(status.to_string(), RefOr::T(response.build()));
     }
 }
 
-fn parameter(name: &str, place: ParameterIn, description: &str, schema: Type) -> RefOr<Parameter> {
-    let required = if matches!(place, ParameterIn::Path) { Required::True } else { Required::False };
-    let schema = Schema::Object(Object::with_type(schema));
+fn in_path(name: &str, description: &str, schema: Object, example: Value) -> RefOr<Parameter> {
     let parameter = ParameterBuilder::new()
         .name(name)
-        .parameter_in(place)
+        .parameter_in(ParameterIn::Path)
+        .required(Required::True)
         .description(Some(description))
-        .required(required)
-        .schema(Some(schema));
+        .schema(Some(Schema::Object(schema)))
+        .example(Some(example));
+    RefOr::T(parameter.build())
+}
+
+fn in_header(name: &str, description: &str) -> RefOr<Parameter> {
+    let parameter = ParameterBuilder::new()
+        .name(name)
+        .parameter_in(ParameterIn::Header)
+        .required(Required::False)
+        .description(Some(description))
+        .schema(Some(Schema::Object(Object::with_type(Type::String))));
     RefOr::T(parameter.build())
 }
 
@@ -165,8 +223,7 @@ pub(crate) fn codes(path: &str, method: &str, operation: &str) -> Vec<Code> {
         Code::CrossOrigin,
         Code::InternalError,
     ];
-    let open = matches!(path, "/healthz" | "/readyz" | "/problems/{code}");
-    if !open {
+    if !OPEN.contains(&path) {
         codes.push(Code::Unauthorized);
         codes.extend((method != "get").then_some(Code::ReadOnlyToken));
     }

@@ -147,6 +147,18 @@ impl Code {
         self.row().3
     }
 
+    /// A refusal with it, for the description.
+    pub(crate) fn example(self) -> serde_json::Value {
+        let pointer = EXAMPLE_POINTERS.iter().find(|(code, _)| *code == self).map(|(_, pointer)| *pointer);
+        let diverged = Divergence { particle: 0, quantity: "position", step: 1 };
+        let problem = Problem {
+            pointer: pointer.map(str::to_owned),
+            diverged: (self == Self::Diverged).then_some(diverged),
+            ..Problem::plain(self)
+        };
+        serde_json::to_value(problem.wire()).expect("strings and whole numbers are always JSON")
+    }
+
     /// Name, status, title, explanation.
     #[rustfmt::skip]
     fn row(self) -> (&'static str, StatusCode, &'static str, &'static str) {
@@ -272,6 +284,22 @@ impl Code {
     }
 }
 
+/// Where an example of a refusal points to.
+const EXAMPLE_POINTERS: [(Code, &str); 12] = [
+    (Code::InvalidField, "/position"),
+    (Code::NotFinite, "/position/0"),
+    (Code::LengthMismatch, "/position"),
+    (Code::IntegratorOwnsField, "/position"),
+    (Code::MassNotPositive, "/mass"),
+    (Code::InverseMassNegative, "/inverse_mass"),
+    (Code::MassAndInverseMass, "/inverse_mass"),
+    (Code::DampingOutOfRange, "/damping"),
+    (Code::DurationNotPositive, "/duration"),
+    (Code::StepsNotPositive, "/steps"),
+    (Code::MaxStepNotPositive, "/max_step"),
+    (Code::StepsAndMaxStep, "/max_step"),
+];
+
 /// The stable words of problems.
 #[derive(Debug)]
 pub(crate) struct ProblemCode;
@@ -325,15 +353,19 @@ pub(crate) struct ProblemBody<'a> {
     code: &'a str,
     /// JSON Pointer (RFC 6901) into the request body.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
     pointer: Option<&'a str>,
     /// With `diverged`: the smallest id of a particle that would not stay finite.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
     particle: Option<u64>,
     /// With `diverged`: `position` or `velocity`.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
     quantity: Option<&'a str>,
     /// With `diverged`: the first step, from 1, after which it is not finite.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
     step: Option<u64>,
 }
 

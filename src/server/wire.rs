@@ -42,7 +42,7 @@ impl Choice for DampingLaw {
     }
 }
 
-/// A vector for the `OpenAPI` description.
+/// A vector: its components x, y and z.
 #[derive(ToSchema)]
 #[schema(as = Vector, value_type = [f64; 3], min_items = 3, max_items = 3, example = json!([0.0, 9.5, 0.0]))]
 #[expect(dead_code, reason = "stands for Vector in the description")]
@@ -423,7 +423,7 @@ impl ColumnsBody<'_> {
 /// New properties for many particles.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-#[schema(as = SetParticles, example = json!({"ids": [0, 2], "damping": 0.9, "mass": [1.5, 2.5]}))]
+#[schema(as = SetParticles, example = json!({"ids": [0], "damping": 0.9, "mass": [1.5]}))]
 pub(crate) struct SetManyBody<'a> {
     /// Which particles, in the order of the lists; absent: all, in ascending order of id.
     #[serde(default, deserialize_with = "present")]

@@ -23,6 +23,8 @@ mod connections;
 mod contract;
 /// The digest of a world: equal if and only if its future is.
 mod digest;
+/// The page at `/docs`, and the way to it.
+mod docs;
 /// Drag and gravitation, and what came with them, over HTTP.
 mod forces;
 /// The stepped integrators as the book writes them.

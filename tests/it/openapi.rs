@@ -3,9 +3,9 @@
 
 use std::collections::BTreeSet;
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
-use crate::service::{Client, Service};
+use crate::service::{Answer, Client, Service, check_shape, shape_name};
 
 fn description(client: &mut Client) -> Value {
     client.get("/openapi.json").expect(200).json()
@@ -38,10 +38,12 @@ fn every_route_of_the_contract_is_described() {
         .map(|(path, method, _)| format!("{} {path}", method.to_uppercase()))
         .collect();
     let contract: BTreeSet<String> = [
+        "GET /",
         "GET /healthz",
         "GET /metrics",
         "GET /openapi.json",
         "GET /docs",
+        "GET /docs/",
         "GET /docs/{asset}",
         "GET /problems/{code}",
         "GET /readyz",
@@ -118,7 +120,7 @@ fn description_and_router_have_the_same_methods() {
             .replace("{world}", "a")
             .replace("{id}", "0")
             .replace("{code}", "diverged")
-            .replace("{asset}", "swagger-ui.css");
+            .replace("{asset}", "start.js");
         let answer = client.send("OPTIONS", &filled, &[], None).expect(405);
         let allowed: BTreeSet<String> = answer
             .header("allow")
@@ -154,12 +156,13 @@ fn every_operation_is_complete() {
     }
     for (name, schema) in description["components"]["schemas"].as_object().expect("schemas") {
         assert_every_reference_resolves(&description, schema, name);
-        if schema["type"] == "object" && name != "Worlds" && name != "Particles" && !name.starts_with("Service") {
-            assert!(schema["example"].is_object(), "{name} has no example");
-            let properties = schema["properties"].as_object().expect("properties");
-            for field in schema["example"].as_object().expect("checked above").keys() {
-                assert!(properties.contains_key(field), "{name}: {field} of the example is not a property");
-            }
+        if schema["type"] == "object" {
+            assert_eq!(schema["additionalProperties"], false, "{name} takes what is not described");
+            let is_long = name == "Worlds" || name == "Particles" || name.starts_with("Service");
+            assert!(is_long || schema["example"].is_object(), "{name} has no example");
+        }
+        if let Some(example) = schema.get("example") {
+            check_shape(name, example, &format!("the example of {name}"));
         }
     }
     assert_every_reference_resolves(&description, &description["paths"], "paths");
@@ -213,23 +216,147 @@ fn examples_of_requests_work() {
     assert!(tried >= 12, "{tried} examples");
 }
 
+/// Every value in a document, with the way to it.
+fn walk(value: &Value, place: &str, visit: &mut impl FnMut(&Value, &str)) {
+    visit(value, place);
+    match value {
+        Value::Object(object) => object.iter().for_each(|(key, value)| walk(value, &format!("{place}/{key}"), visit)),
+        Value::Array(list) => {
+            (0..).zip(list).for_each(|(k, value): (usize, _)| walk(value, &format!("{place}/{k}"), visit));
+        }
+        Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) => {}
+    }
+}
+
+/// Names of the `OpenAPI` format registry, and texts that a stranger understands.
 #[test]
-fn the_page_needs_no_network() {
+fn formats_and_words_are_those_of_readers() {
     let service = Service::start();
-    let mut client = service.client();
-    let page = client.get("/docs").expect(200);
-    let mut pages = vec![("/docs".to_owned(), page.text().to_owned())];
-    for (_, asset) in page.text().match_indices("./").map(|(at, _)| (at, &page.text()[at + 2..])) {
-        let name: String = asset.chars().take_while(|c| c.is_ascii_alphanumeric() || "-._".contains(*c)).collect();
-        let path = format!("/docs/{name}");
-        let answer = client.get(&path).expect(200);
-        if name == "swagger-initializer.js" {
-            pages.push((path, answer.text().to_owned()));
+    let description = description(&mut service.client());
+    let (mut formats, mut texts) = (BTreeSet::new(), 0);
+    walk(&description, "", &mut |value, place| {
+        if let Some(format) = value.get("format").and_then(Value::as_str) {
+            let kind = if value["type"].is_array() { &value["type"][0] } else { &value["type"] };
+            formats.insert(format!("{} {format}", kind.as_str().unwrap_or_default()));
+        }
+        if let Some(text) = value.get("description").and_then(Value::as_str) {
+            texts += 1;
+            for word in ["OpenAPI", "this description", "schema"] {
+                assert!(!text.contains(word), "{place} speaks of {word}: {text}");
+            }
+        }
+    });
+    let known =
+        ["integer int32", "integer int64", "integer uint16", "integer uint32", "integer uint64", "number double"];
+    let known: BTreeSet<String> = known.into_iter().chain(["string binary"]).map(str::to_owned).collect();
+    assert!(formats.is_subset(&known), "{formats:?}");
+    assert!(texts > 200, "{texts} texts");
+    for (method, content) in [("get", "responses/200"), ("put", "requestBody")] {
+        let place =
+            format!("/paths/~1v1~1worlds~1{{world}}~1snapshot/{method}/{content}/content/application~1octet-stream");
+        let schema = &description.pointer(&place).expect("a snapshot")["schema"];
+        assert_eq!(description["components"]["schemas"][shape_name(schema)]["format"], "binary", "{place}");
+    }
+    // An id goes beyond what an int64 holds.
+    let ids = [&description["components"]["schemas"]["Particle"]["properties"]["id"], &path_id(&description)["schema"]];
+    for id in ids {
+        assert_eq!((&id["format"], &id["minimum"]), (&json!("uint64"), &json!(0)));
+    }
+}
+
+fn path_id(description: &Value) -> &Value {
+    let parameters = &description["paths"]["/v1/worlds/{world}/particles/{id}"]["get"]["parameters"];
+    parameters.as_array().expect("parameters").iter().find(|parameter| parameter["name"] == "id").expect("an id")
+}
+
+/// Clients take the first media type: a page that tries the routes, and generators.
+#[test]
+fn json_stands_before_cbor() {
+    let service = Service::start();
+    let answer = service.client().get("/openapi.json").expect(200);
+    let mut contents = 0;
+    for content in answer.text().split("\"content\": {").skip(1) {
+        let first = content.split('"').nth(1).expect("a media type");
+        assert_ne!(first, "application/cbor");
+        contents += usize::from(first == "application/json" && content.contains("\"application/cbor\""));
+    }
+    assert!(contents > 30, "{contents} times both");
+}
+
+/// Each refusal shows what it looks like, under its own status and code.
+#[test]
+fn every_refusal_has_an_example_of_its_own() {
+    let service = Service::start();
+    let description = description(&mut service.client());
+    let mut seen = BTreeSet::new();
+    for (path, method, operation) in operations(&description) {
+        for (status, response) in operation["responses"].as_object().expect("responses") {
+            let Some(content) = response["content"].get("application/problem+json") else {
+                assert!(status.as_str() < "400", "{method} {path} {status} shows no problem");
+                continue;
+            };
+            let examples = content["examples"].as_object().expect("examples");
+            assert!(!examples.is_empty(), "{method} {path} {status}");
+            for (code, example) in examples {
+                let pointer = example["$ref"].as_str().expect("shared by all routes").trim_start_matches('#');
+                let value = &description.pointer(pointer).expect("resolves")["value"];
+                assert_eq!(
+                    (&value["code"], value["status"].to_string()),
+                    (&json!(code), status.clone()),
+                    "{method} {path}"
+                );
+                check_shape("Problem", value, pointer);
+                seen.insert(code.clone());
+            }
         }
     }
-    assert!(pages.iter().any(|(_, text)| text.contains("/openapi.json")), "the page is over the description");
-    client.get("/docs/nothing.js").expect(404);
-    for (path, text) in pages {
-        assert!(!text.contains("http://") && !text.contains("https://"), "{path} reaches out: {text}");
+    // Whoever goes by the description sends no other method.
+    seen.insert("method_not_allowed".to_owned());
+    assert!(description["components"]["examples"].as_object().expect("examples").keys().eq(&seen), "{seen:?}");
+}
+
+/// A request as a page makes it whose reader only presses its buttons: every parameter that has an example has that, and
+/// the body is the first example.
+fn first_try(client: &mut Client, description: &Value, path: &str, method: &str, operation: &Value) -> Answer {
+    let (mut filled, mut query) = (path.to_owned(), Vec::new());
+    for parameter in operation["parameters"].as_array().into_iter().flatten() {
+        let name = parameter["name"].as_str().expect("a name");
+        let example = parameter.get("example");
+        let example = example.map(|example| example.as_str().map_or_else(|| example.to_string(), str::to_owned));
+        if parameter["in"] == "path" {
+            filled = filled.replace(&format!("{{{name}}}"), &example.expect("a value to begin with"));
+        } else if parameter["in"] == "query" {
+            query.extend(example.map(|example| format!("{name}={example}")));
+        }
+    }
+    if !query.is_empty() {
+        filled = filled + "?" + &query.join("&");
+    }
+    let body = examples(description, operation).first().map(Value::to_string);
+    client.send(&method.to_uppercase(), &filled, &[], body.as_deref().map(str::as_bytes))
+}
+
+/// On a service without worlds, from its creation on: what the page shows is taken as it stands.
+#[test]
+fn the_first_try_works() {
+    let service = Service::start();
+    let mut client = service.client();
+    let description = description(&mut client);
+    let order = |path: &str, method: &str| match (method, path) {
+        ("put", "/v1/worlds/{world}") => 0,
+        ("post", "/v1/worlds/{world}/particles") => 1,
+        ("delete", "/v1/worlds/{world}") => 4,
+        ("delete", _) => 3,
+        _ => 2,
+    };
+    let mut all = operations(&description);
+    all.sort_by_key(|(path, method, _)| order(path, method));
+    for (path, method, operation) in all {
+        // A stream does not end, and a snapshot to restore is a file of the reader's own.
+        if path.ends_with("/stream") || (method.as_str(), path.ends_with("/snapshot")) == ("put", true) {
+            continue;
+        }
+        let answer = first_try(&mut client, &description, &path, &method, operation);
+        assert!(answer.status < 400, "{method} {path}: {} {}", answer.status, answer.text());
     }
 }

@@ -17,7 +17,7 @@ type HeaderRow = (&'static str, &'static [(&'static str, &'static str)], u16, &'
 #[rustfmt::skip]
 const ROWS: &[Row] = &[
     // Routes and methods.
-    ("GET", "/", "", 404, "unknown_route", None),
+    ("GET", "/nothing", "", 404, "unknown_route", None),
     ("GET", "/v2/worlds", "", 404, "unknown_route", None),
     ("GET", "@/nothing", "", 404, "unknown_route", None),
     ("GET", "/v1/worlds/", "", 404, "unknown_route", None),

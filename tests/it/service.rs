@@ -153,7 +153,7 @@ impl Client {
         bytes.extend_from_slice(body.unwrap_or_default());
         self.raw(&bytes);
         let answer = self.answer(method == "HEAD");
-        check_documented(method, path, &answer);
+        check_documented(method, path, body, &answer);
         answer
     }
 
@@ -286,63 +286,121 @@ pub(crate) fn wait_for_in_flight(address: SocketAddr, count: usize) {
     panic!("there were never {count} requests in flight");
 }
 
-fn description() -> &'static Value {
-    static DESCRIPTION: OnceLock<Value> = OnceLock::new();
-    DESCRIPTION.get_or_init(|| {
-        let service = Service::start();
-        let mut client = Client::connect(service.address);
-        client.raw(b"GET /openapi.json HTTP/1.1\r\nhost: localhost\r\n\r\n");
-        client.answer(false).json()
-    })
+/// The description of the service, and a validator for each shape that has a name in it.
+struct Described {
+    document: Value,
+    shapes: boon::Schemas,
+    places: HashMap<String, boon::SchemaIndex>,
 }
 
-/// The description of the route that a path belongs to.
-pub(crate) fn described(method: &str, path: &str) -> Option<&'static Value> {
-    let path = path.split('?').next().expect("split has a first part");
-    let segments: Vec<&str> = path.split('/').collect();
-    let paths = description()["paths"].as_object().expect("paths");
-    let matches = |template: &str| {
-        let template: Vec<&str> = template.split('/').collect();
-        template.len() == segments.len()
-            && template.iter().zip(&segments).all(|(t, s)| t == s || (t.starts_with('{') && !s.is_empty()))
-    };
-    let (_, item) = paths.iter().find(|(template, _)| matches(template))?;
-    item.get(method.to_ascii_lowercase())
+impl Described {
+    fn get() -> &'static Self {
+        static DESCRIBED: OnceLock<Described> = OnceLock::new();
+        DESCRIBED.get_or_init(|| {
+            let service = Service::start();
+            let mut client = Client::connect(service.address);
+            client.raw(b"GET /openapi.json HTTP/1.1\r\nhost: localhost\r\n\r\n");
+            let document = client.answer(false).json();
+            let (mut compiler, mut shapes) = (boon::Compiler::new(), boon::Schemas::new());
+            compiler.set_default_draft(boon::Draft::V2020_12);
+            compiler.add_resource("http://description", document.clone()).expect("JSON");
+            let names = document["components"]["schemas"].as_object().expect("shapes").keys();
+            let places = names.map(|name| {
+                let place = compiler.compile(&format!("http://description#/components/schemas/{name}"), &mut shapes);
+                (name.clone(), place.unwrap_or_else(|error| panic!("{name} is no schema: {error:#}")))
+            });
+            let places = places.collect();
+            Self { document, shapes, places }
+        })
+    }
+
+    /// The description of the route that a path belongs to, under this method.
+    fn operation(&self, method: &str, path: &str) -> Option<&Value> {
+        let path = path.split('?').next().expect("split has a first part");
+        let segments: Vec<&str> = path.split('/').collect();
+        let paths = self.document["paths"].as_object().expect("paths");
+        let matches = |template: &str| {
+            let template: Vec<&str> = template.split('/').collect();
+            template.len() == segments.len()
+                && template.iter().zip(&segments).all(|(t, s)| t == s || (t.starts_with('{') && !s.is_empty()))
+        };
+        let (_, item) = paths.iter().find(|(template, _)| matches(template))?;
+        item.get(method.to_ascii_lowercase())
+    }
+
+    /// Holds a value against a shape: by JSON Schema 2020-12, of whose alternatives exactly one may match.
+    #[track_caller]
+    fn check(&self, name: &str, value: &Value, context: &str) {
+        if let Err(error) = self.shapes.validate(value, self.places[name]) {
+            panic!("{context} is not what is described as {name}: {error}");
+        }
+    }
 }
 
-/// Whatever a route answers stands in its description: the status, and the code of a problem.
+/// The name of a shape that others refer to.
 #[track_caller]
-fn check_documented(method: &str, path: &str, answer: &Answer) {
+pub(crate) fn shape_name(schema: &Value) -> &str {
+    let reference = schema["$ref"].as_str().and_then(|reference| reference.strip_prefix("#/components/schemas/"));
+    reference.unwrap_or_else(|| panic!("{schema} is no shape with a name"))
+}
+
+/// Holds a value against a shape of the description.
+#[track_caller]
+pub(crate) fn check_shape(name: &str, value: &Value, context: &str) {
+    Described::get().check(name, value, context);
+}
+
+/// Whatever a route answers stands in its description: the status, the media type, the shape, and the code of a problem.
+/// So does a body that it took.
+#[track_caller]
+fn check_documented(method: &str, path: &str, sent: Option<&[u8]>, answer: &Answer) {
     assert!(answer.header("x-request-id").is_some(), "{method} {path} without a request id");
     // A preflight is answered for browsers only.
     if method == "OPTIONS" && answer.status == 200 {
         return;
     }
-    let is_text = answer.header("content-encoding").is_none()
-        && !matches!(answer.header("content-type"), Some("application/cbor" | "application/octet-stream"));
-    if !answer.body.is_empty() && is_text && !path.starts_with("/docs") {
-        assert_eq!(answer.body.last(), Some(&b'\n'), "{method} {path} without a newline at its end");
+    let described = Described::get();
+    let context = format!("the answer {} of {method} {path}", answer.status);
+    let media = answer.header("content-type").map(|media| media.split(';').next().expect("split has a first part"));
+    let is_packed = answer.header("content-encoding").is_some();
+    let is_binary = matches!(media, Some("application/cbor" | "application/octet-stream"));
+    if !answer.body.is_empty() && !is_packed && !is_binary && !path.starts_with("/docs") {
+        assert_eq!(answer.body.last(), Some(&b'\n'), "{context} has no newline at its end");
     }
-    let method = if method == "HEAD" { "GET" } else { method };
-    let Some(operation) = described(method, path) else {
+    let is_problem = media == Some("application/problem+json");
+    let body = (!answer.body.is_empty() && !is_packed && (is_problem || media == Some("application/json")))
+        .then(|| answer.json());
+    let Some(operation) = described.operation(if method == "HEAD" { "GET" } else { method }, path) else {
         assert!(matches!(answer.status, 401 | 403 | 404 | 405), "{method} {path} is not described");
+        if let Some(body) = &body {
+            described.check("Problem", body, &context);
+        }
         return;
     };
     let response = &operation["responses"][answer.status.to_string()];
-    assert!(
-        response.is_object(),
-        "{method} {path} answers {}, which is not described: {}",
-        answer.status,
-        answer.text()
-    );
-    if answer.header("content-type") == Some("application/problem+json") && !answer.body.is_empty() {
-        let problem = answer.json();
-        let code = problem["code"].as_str().expect("a code");
-        let codes = response["description"].as_str().expect("a description");
-        assert!(codes.contains(&format!("`{code}`")), "{method} {path}: {code} is not among {codes}");
+    assert!(response.is_object(), "{context} is not described: {}", String::from_utf8_lossy(&answer.body));
+    let Some(media) = media else {
+        assert!(answer.body.is_empty(), "{context} has no type");
+        return;
+    };
+    let content = &response["content"][media];
+    assert!(content.is_object(), "{context} is {media}, which is not described");
+    // The description itself is described elsewhere.
+    if let Some(body) = body.as_ref().filter(|_| path != "/openapi.json" || is_problem) {
+        described.check(shape_name(&content["schema"]), body, &context);
+    }
+    if let (Some(problem), true) = (&body, is_problem) {
+        let code = problem["code"].as_str().expect("its shape was checked");
+        assert!(content["examples"][code].is_object(), "{context}: {code} is not described");
         assert_eq!(problem["status"], answer.status, "{problem}");
         assert_eq!(problem["type"], format!("/problems/{code}"), "{problem}");
         assert!(problem["detail"].as_str().is_some_and(|detail| detail.len() > 10), "{problem}");
+    }
+    // Where many worlds are spoken to, each may have been sent something else, and answers for itself.
+    let sent = sent.filter(|sent| answer.status < 300 && !sent.is_empty() && path != "/v1/commands");
+    let schema = operation.pointer("/requestBody/content/application~1json/schema");
+    if let (Some(schema), Some(Ok(sent))) = (schema, sent.map(serde_json::from_slice::<Value>)) {
+        described.check(shape_name(schema), &sent, &format!("the body that {method} {path} took"));
     }
 }
 

@@ -32,10 +32,7 @@ pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
 /// How far to advance, and in which steps.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-#[schema(as = Advance, example = json!({
-    "duration": 0.5, "steps": 30, "return": ["position"], "report_error": true,
-    "until": {"particle": 0, "plane": {"normal": [0.0, 1.0, 0.0], "offset": 0.0}}
-}))]
+#[schema(as = Advance, example = json!({"duration": 0.5, "steps": 30, "return": ["position"]}))]
 pub(crate) struct AdvanceBody {
     /// In seconds, above 0.
     #[schema(exclusive_minimum = 0)]
@@ -107,7 +104,7 @@ struct StepErrorBody {
 pub(crate) struct AdvancedBody {
     /// The clock of the world, in seconds.
     time: f64,
-    /// In seconds, as asked.
+    /// In seconds: as asked, and with `until`, where the particle reached the plane, up to that moment.
     duration: f64,
     steps: u64,
     /// The length of one step in seconds.

@@ -143,7 +143,7 @@ impl<'de: 'a, 'a> Deserialize<'de> for CommandBody<'a> {
 /// Teleports: positions, velocities or both; one vector for all of the particles, or a list with one for each.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-#[schema(as = Places, example = json!({"ids": [0, 2], "position": [[0.0, 1.0, 0.0], [2.0, 1.0, 0.0]]}))]
+#[schema(as = Places, example = json!({"ids": [0], "position": [[0.0, 1.0, 0.0]]}))]
 struct PlacesBody<'a> {
     /// Which particles, in the order of the lists; absent: all, in ascending order of id.
     #[serde(default, deserialize_with = "present")]
@@ -162,7 +162,7 @@ struct PlacesBody<'a> {
 /// Impulses for many particles: one vector for all of them, or a list with one for each.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-#[schema(as = Impulses, example = json!({"ids": [0, 2], "impulse": [1.0, 0.0, 0.0]}))]
+#[schema(as = Impulses, example = json!({"ids": [0], "impulse": [1.0, 0.0, 0.0]}))]
 struct ImpulsesBody<'a> {
     /// Which particles, in the order of the list; absent: all, in ascending order of id.
     #[serde(default, deserialize_with = "present")]
@@ -177,7 +177,7 @@ struct ImpulsesBody<'a> {
 /// Particles to remove.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-#[schema(as = Removal, example = json!({"ids": [0, 2]}))]
+#[schema(as = Removal, example = json!({"ids": [0]}))]
 struct RemovalBody {
     /// Each once. They cannot be left out, as they can elsewhere: a slip would empty the world.
     ids: Vec<u64>,
@@ -186,7 +186,7 @@ struct RemovalBody {
 /// What to read in the middle of a batch.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-#[schema(as = ReadColumns, example = json!({"fields": ["position"], "ids": [0, 2]}))]
+#[schema(as = ReadColumns, example = json!({"fields": ["position"], "ids": [0]}))]
 struct ReadBody {
     /// Which columns besides the id; default position and velocity.
     #[serde(default, deserialize_with = "present")]
@@ -211,15 +211,16 @@ struct Results {
     revision: u64,
 }
 
-/// What a command did: ids of created particles, a count, the report of an advance, or the columns of a read.
+/// What a command did: ids of created particles, the report of an advance, the columns of a read, or a count.
 #[derive(ToSchema)]
 #[serde(untagged)]
 #[expect(dead_code, reason = "stands for the result in the description")]
 enum CommandResult {
     Created(Created),
-    Changed(Counted),
     Advanced(AdvancedBody),
     Read(wire::State),
+    // Last: who tries one shape after the other, and ignores members that it does not know, finds a count in others too.
+    Changed(Counted),
 }
 
 /// How many particles a command spoke of.
@@ -233,7 +234,7 @@ struct Counted {
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(as = CommandsOfWorlds, example = json!({"worlds": {
-    "a": {"commands": [{"advance": {"duration": 0.016}}]}, "b": {"commands": [{"read": {}}]}
+    "demo": {"commands": [{"advance": {"duration": 0.016}}, {"read": {"fields": ["position"]}}]}
 }}))]
 struct WorldsBody<'a> {
     /// By name.

@@ -45,7 +45,7 @@ struct ImpulseBody<R: WireReal> {
 /// Forces for many particles: one vector for all of them, or a list with one for each.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-#[schema(as = Forces, example = json!({"ids": [0, 2], "force": [[1.0, 0.0, 0.0], [0.0, 2.0, 0.0]]}))]
+#[schema(as = Forces, example = json!({"ids": [0], "force": [[0.0, 12.0, 0.0]]}))]
 pub(crate) struct ForcesBody<'a> {
     /// Which particles, in the order of the list; absent: all, in ascending order of id.
     #[serde(default, deserialize_with = "present")]

@@ -2,6 +2,7 @@
 
 pub(crate) mod advance;
 pub(crate) mod commands;
+pub(crate) mod docs;
 pub(crate) mod forces;
 pub(crate) mod particles;
 pub(crate) mod service;

@@ -205,11 +205,11 @@ pub(crate) fn read_new<R: WireReal>(body: Raw<'_>, most: u64) -> Result<New<R>, 
 /// In ascending order of id.
 #[utoipa::path(get, path = "/v1/worlds/{world}/particles", tag = "particles",
     params(
-        ("ids" = Option<String>, Query, description = "only these, separated by commas", example = "0,2"),
+        ("ids" = Option<String>, Query, description = "only these, separated by commas: `0,2`"),
         ("fields" = Option<String>, Query, description = "only these properties besides the id, separated by commas", example = "position,velocity"),
         ("limit" = Option<usize>, Query, description = "at most so many; default 1000, at most 100000", minimum = 1, maximum = 100_000),
         ("after" = Option<u64>, Query, description = "from the first id after this one"),
-        ("changed_since" = Option<u64>, Query, description = "only what changed since this revision: see the state in columns", example = 7),
+        ("changed_since" = Option<u64>, Query, description = "only what changed since this revision: see the state in columns"),
     ),
     responses((status = 200, body = Particles<f64>, headers(("etag" = String)))))]
 async fn list_particles(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {
@@ -413,8 +413,8 @@ async fn place_particle(State(app): State<Arc<App>>, change: Change) -> Result<R
 #[utoipa::path(get, path = "/v1/worlds/{world}/state", tag = "particles",
     params(
         ("fields" = Option<String>, Query, description = "which columns besides the id; default position,velocity", example = "position,velocity"),
-        ("ids" = Option<String>, Query, description = "only these, separated by commas", example = "0,2"),
-        ("changed_since" = Option<u64>, Query, description = "only what changed since this revision", example = 7),
+        ("ids" = Option<String>, Query, description = "only these, separated by commas: `0,2`"),
+        ("changed_since" = Option<u64>, Query, description = "only what changed since this revision"),
     ),
     responses((status = 200, body = wire::State, headers(("etag" = String)))))]
 async fn read_state(State(app): State<Arc<App>>, read: Read) -> Result<Response, Problem> {

@@ -30,8 +30,6 @@ pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
         .routes(routes!(read_metrics))
         .routes(routes!(openapi))
         .routes(routes!(explain_problem))
-        .routes(routes!(docs))
-        .routes(routes!(docs_asset))
 }
 
 /// What this service is and may.
@@ -174,7 +172,7 @@ async fn read_metrics(State(app): State<Arc<App>>, uri: Uri) -> Result<Response,
     Ok(([(header::CONTENT_TYPE, content_type)], metrics::text(&app)).into_response())
 }
 
-/// This description
+/// Describes every route
 #[utoipa::path(get, path = "/openapi.json", tag = "service", responses((status = 200, body = serde_json::Value)))]
 async fn openapi(State(app): State<Arc<App>>, uri: Uri) -> Result<Response, Problem> {
     no_parameters(&uri)?;
@@ -189,35 +187,4 @@ async fn explain_problem(Path(name): Path<String>, uri: Uri) -> Result<String, P
     let code =
         Code::ALL.into_iter().find(|code| code.name() == name).ok_or_else(|| Problem::plain(Code::UnknownRoute))?;
     Ok(format!("{} ({})\n\n{}\n", code.title(), code.status(), code.explanation()))
-}
-
-/// A page over this description
-///
-/// Its scripts are part of the binary.
-#[utoipa::path(get, path = "/docs", tag = "service", responses((status = 200, body = String, content_type = "text/html")))]
-async fn docs(uri: Uri) -> Result<Response, Problem> {
-    no_parameters(&uri)?;
-    // The page names its assets relative to a folder, which this path is not.
-    let (content_type, page) = swagger_ui("index.html")?;
-    let page = String::from_utf8_lossy(&page).replacen("<head>", "<head>\n    <base href=\"/docs/\">", 1);
-    Ok(([(header::CONTENT_TYPE, content_type)], page).into_response())
-}
-
-/// A part of that page
-#[utoipa::path(get, path = "/docs/{asset}", tag = "service",
-    params(("asset" = String, Path, example = "swagger-ui.css")),
-    responses((status = 200, body = String, content_type = "*/*")))]
-async fn docs_asset(Path(asset): Path<String>, uri: Uri) -> Result<Response, Problem> {
-    no_parameters(&uri)?;
-    let (content_type, bytes) = swagger_ui(&asset)?;
-    Ok(([(header::CONTENT_TYPE, content_type)], bytes).into_response())
-}
-
-fn swagger_ui(file: &str) -> Result<(String, Vec<u8>), Problem> {
-    let config = Arc::new(utoipa_swagger_ui::Config::from("/openapi.json"));
-    match utoipa_swagger_ui::serve(file, config) {
-        Ok(Some(file)) => Ok((file.content_type, file.bytes.into_owned())),
-        Ok(None) => Err(Problem::plain(Code::UnknownRoute)),
-        Err(_) => Err(Problem::plain(Code::InternalError)),
-    }
 }

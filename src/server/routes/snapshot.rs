@@ -1,5 +1,6 @@
 //! `/v1/worlds/{world}/snapshot`: a world as bytes, and back.
 
+use std::borrow::Cow;
 use std::io;
 use std::sync::Arc;
 
@@ -10,6 +11,8 @@ use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 use mediatype::MediaType;
 use tokio::sync::mpsc;
+use utoipa::openapi::{RefOr, Schema};
+use utoipa::{PartialSchema, ToSchema};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use crate::error::{Error, Limits};
@@ -23,6 +26,7 @@ use crate::server::extract::{self, Change, NoParameters, Preconditions, Read, Re
 use crate::server::idempotency::{IDEMPOTENCY_KEY, Key};
 use crate::server::json::WireReal;
 use crate::server::memory::{Charge, PARTICLE_BYTES, PIECE_BYTES, RESTORED_BYTES};
+use crate::server::openapi::binary;
 use crate::server::problem::{Code, Problem, Shape};
 use crate::server::reply::Reply;
 use crate::server::routes::worlds::{check_name, too_many_worlds};
@@ -35,6 +39,21 @@ pub(crate) fn routes() -> OpenApiRouter<Arc<App>> {
 }
 
 const SNAPSHOT: HeaderValue = HeaderValue::from_static("application/octet-stream");
+
+/// A snapshot in the description.
+struct SnapshotBody;
+
+impl PartialSchema for SnapshotBody {
+    fn schema() -> RefOr<Schema> {
+        RefOr::T(binary("A snapshot of a world, as GET gives it."))
+    }
+}
+
+impl ToSchema for SnapshotBody {
+    fn name() -> Cow<'static, str> {
+        Cow::Borrowed("Snapshot")
+    }
+}
 
 /// A request for a snapshot.
 struct Ask(Read);
@@ -99,7 +118,7 @@ impl FromRequest<Arc<App>> for Upload {
 /// bits. Settings, clock and step count are in it, the name and the revision are not. The form is that of this version
 /// of the service; a later one may know it no more, and then says so.
 #[utoipa::path(get, path = "/v1/worlds/{world}/snapshot", tag = "worlds",
-    responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream", headers(("etag" = String)))))]
+    responses((status = 200, body = SnapshotBody, content_type = "application/octet-stream", headers(("etag" = String)))))]
 async fn snapshot_world(State(app): State<Arc<App>>, Ask(read): Ask) -> Result<Response, Problem> {
     let any = app.slot(&read.target)?;
     let query = read.query::<NoParameters>();
@@ -158,7 +177,7 @@ impl Drop for Sink {
 /// its revision grows by one, whatever that of the other was. A world keeps its precision: a snapshot of another one is
 /// refused.
 #[utoipa::path(put, path = "/v1/worlds/{world}/snapshot", tag = "worlds",
-    request_body(content = Vec<u8>, content_type = "application/octet-stream"),
+    request_body(content = SnapshotBody, content_type = "application/octet-stream"),
     responses(
         (status = 200, body = Description<f64>, description = "Replaced", headers(("etag" = String))),
         (status = 201, body = Description<f64>, description = "Created",

@@ -76,11 +76,12 @@ enum Framing {
 /// `Accept: text/event-stream`; the id of an event is its revision, and `Last-Event-ID` resumes), as lines
 /// (`Accept: application/jsonl`), or over a WebSocket, where what is sent up is the body of `POST …/commands` (JSON as
 /// text, CBOR as binary) and is answered in its turn. Ends when the world is removed and when the service shuts down; the
-/// last event, `end`, is a problem that says which.
+/// last event, `end`, is a problem that says which. A page that shows an answer when it ends has nothing to show: take
+/// `curl -N`.
 #[utoipa::path(get, path = "/v1/worlds/{world}/stream", tag = "particles",
     params(
         ("fields" = Option<String>, Query, description = "which columns besides the id; default position,velocity", example = "position"),
-        ("ids" = Option<String>, Query, description = "only these, separated by commas", example = "0,2"),
+        ("ids" = Option<String>, Query, description = "only these, separated by commas: `0,2`"),
         ("rate" = Option<f64>, Query, description = "at most so many events a second; above 0, at most 1000; default 60", exclusive_minimum = 0, maximum = 1000),
         ("since" = Option<u64>, Query, description = "a revision that is known: the first event has what changed since then, if that is still known"),
         ("encoding" = Option<String>, Query, description = "`json` (default) or, over a WebSocket, `cbor`", example = "json"),
