@@ -5,7 +5,6 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 use fearless_simd::{ExtractToken, Select, Simd, SimdBase, SimdFloat, SimdMask};
 
 use crate::double_double::{Lane, lost_in_product};
-use crate::filled::filled;
 
 const FRACTION: u64 = (1 << 52) - 1;
 
@@ -74,6 +73,23 @@ pub(super) const LANES_MAX: usize = 8;
 /// Registers that are computed side by side: most of the time one of them alone would wait for its last result.
 const ABREAST: usize = 2;
 
+/// `[value of 0, value of 1]`. There are thousands of them in one function, where as many loops, let alone closures, took
+/// the compiler a minute.
+macro_rules! abreast {
+    ($k:ident => $value:expr) => {
+        [
+            {
+                const $k: usize = 0;
+                $value
+            },
+            {
+                const $k: usize = 1;
+                $value
+            },
+        ]
+    };
+}
+
 /// The most doubles of `Registers`.
 pub(super) const LEN_MAX: usize = ABREAST * LANES_MAX;
 
@@ -87,16 +103,16 @@ impl<S: Simd> Registers<S> {
     /// The first values of these.
     #[inline(always)]
     pub(super) fn load(simd: S, values: &[f64; LEN_MAX]) -> Self {
-        Self(filled!(k in ABREAST => S::f64s::from_slice(simd, &values[k * S::f64s::LEN..(k + 1) * S::f64s::LEN])))
+        Self(abreast!(K => S::f64s::from_slice(simd, &values[K * S::f64s::LEN..(K + 1) * S::f64s::LEN])))
     }
 
     /// Their lanes, and zeros behind them.
     #[inline(always)]
     pub(super) fn store(self) -> [f64; LEN_MAX] {
         let mut values = [0.0; LEN_MAX];
-        for k in 0..ABREAST {
-            self.0[k].store_slice(&mut values[k * S::f64s::LEN..(k + 1) * S::f64s::LEN]);
-        }
+        let (first, second) = values[..Self::LEN].split_at_mut(S::f64s::LEN);
+        self.0[0].store_slice(first);
+        self.0[1].store_slice(second);
         values
     }
 }
@@ -105,7 +121,7 @@ impl<S: Simd> Add for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn add(self, other: Self) -> Self {
-        Self(filled!(k in ABREAST => self.0[k] + other.0[k]))
+        Self(abreast!(K => self.0[K] + other.0[K]))
     }
 }
 
@@ -113,7 +129,7 @@ impl<S: Simd> Add<f64> for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn add(self, other: f64) -> Self {
-        Self(filled!(k in ABREAST => self.0[k] + other))
+        Self(abreast!(K => self.0[K] + other))
     }
 }
 
@@ -121,7 +137,7 @@ impl<S: Simd> Sub for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn sub(self, other: Self) -> Self {
-        Self(filled!(k in ABREAST => self.0[k] - other.0[k]))
+        Self(abreast!(K => self.0[K] - other.0[K]))
     }
 }
 
@@ -129,7 +145,7 @@ impl<S: Simd> Mul for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn mul(self, other: Self) -> Self {
-        Self(filled!(k in ABREAST => self.0[k] * other.0[k]))
+        Self(abreast!(K => self.0[K] * other.0[K]))
     }
 }
 
@@ -137,7 +153,7 @@ impl<S: Simd> Mul<f64> for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn mul(self, other: f64) -> Self {
-        Self(filled!(k in ABREAST => self.0[k] * other))
+        Self(abreast!(K => self.0[K] * other))
     }
 }
 
@@ -145,7 +161,7 @@ impl<S: Simd> Div for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn div(self, other: Self) -> Self {
-        Self(filled!(k in ABREAST => self.0[k] / other.0[k]))
+        Self(abreast!(K => self.0[K] / other.0[K]))
     }
 }
 
@@ -153,7 +169,7 @@ impl<S: Simd> Neg for Registers<S> {
     type Output = Self;
     #[inline(always)]
     fn neg(self) -> Self {
-        Self(filled!(k in ABREAST => -self.0[k]))
+        Self(abreast!(K => -self.0[K]))
     }
 }
 
@@ -162,7 +178,7 @@ impl<S: Simd> Lane for Registers<S> {
     fn lost_in_product(self, other: Self, product: Self) -> Self {
         // Instruction sets with registers of four doubles and more have a fused multiply-add.
         if S::f64s::LEN >= 4 {
-            Self(filled!(k in ABREAST => self.0[k].mul_sub_precise(other.0[k], product.0[k])))
+            Self(abreast!(K => self.0[K].mul_sub_precise(other.0[K], product.0[K])))
         } else {
             lost_in_product(self, other, product)
         }
@@ -173,15 +189,15 @@ impl<S: Simd> Lanes for Registers<S> {
     type Mask = [S::mask64s; ABREAST];
     #[inline(always)]
     fn splat(self, value: f64) -> Self {
-        Self(filled!(k in ABREAST => S::f64s::splat(self.0[k].token(), value)))
+        Self(abreast!(K => S::f64s::splat(self.0[K].token(), value)))
     }
     #[inline(always)]
     fn is_below(self, bound: f64) -> Self::Mask {
-        filled!(k in ABREAST => self.0[k].simd_lt(bound))
+        abreast!(K => self.0[K].simd_lt(bound))
     }
     #[inline(always)]
     fn choose(mask: Self::Mask, then: Self, otherwise: Self) -> Self {
-        Self(filled!(k in ABREAST => mask[k].select(then.0[k], otherwise.0[k])))
+        Self(abreast!(K => mask[K].select(then.0[K], otherwise.0[K])))
     }
     #[inline(always)]
     fn all(mask: Self::Mask) -> bool {
@@ -193,18 +209,18 @@ impl<S: Simd> Lanes for Registers<S> {
     }
     #[inline(always)]
     fn mantissa(self) -> Self {
-        Self(filled!(k in ABREAST => S::f64s::from_bits((self.0[k].to_bits() & FRACTION) | 1.0_f64.to_bits())))
+        Self(abreast!(K => S::f64s::from_bits((self.0[K].to_bits() & FRACTION) | 1.0_f64.to_bits())))
     }
     #[inline(always)]
     fn power(self) -> Self {
-        Self(filled!(k in ABREAST => S::f64s::from_bits(self.0[k].to_bits() & !FRACTION)))
+        Self(abreast!(K => S::f64s::from_bits(self.0[K].to_bits() & !FRACTION)))
     }
     #[inline(always)]
     fn exponent_bits_in(self, number: f64) -> Self {
-        Self(filled!(k in ABREAST => S::f64s::from_bits((self.0[k].to_bits() >> 52) | number.to_bits())))
+        Self(abreast!(K => S::f64s::from_bits((self.0[K].to_bits() >> 52) | number.to_bits())))
     }
     #[inline(always)]
     fn last_bits_as_exponent(self) -> Self {
-        Self(filled!(k in ABREAST => S::f64s::from_bits(self.0[k].to_bits() << 52)))
+        Self(abreast!(K => S::f64s::from_bits(self.0[K].to_bits() << 52)))
     }
 }

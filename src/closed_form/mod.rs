@@ -107,18 +107,11 @@ impl Decay {
         if time == 0.0 {
             return ClosedForm::STILL;
         }
-        if !self.is_ordinary(time) {
+        if !is_ordinary(self.lambda.hi, time) {
             return self.over_extreme(time);
         }
         let [kept, phi, psi] = ordinary(self.lambda, self.inverse, time);
         ClosedForm { kept, phi, psi, rest: self.rest }
-    }
-
-    /// Neither the time nor any result is near the ends of the range of doubles.
-    #[inline(always)]
-    fn is_ordinary(&self, time: f64) -> bool {
-        const TWO_MINUS_500: f64 = f64::from_bits((1023 - 500) << 52);
-        time >= TWO_MINUS_500 && self.lambda.hi * time <= 700.0
     }
 
     /// Near those ends results are rounded to subnormal ones.
@@ -140,6 +133,13 @@ impl Decay {
     }
 }
 
+/// Neither the time nor any result is near the ends of the range of doubles.
+#[inline(always)]
+fn is_ordinary(lambda: f64, time: f64) -> bool {
+    const TWO_MINUS_500: f64 = f64::from_bits((1023 - 500) << 52);
+    time >= TWO_MINUS_500 && lambda * time <= 700.0
+}
+
 #[inline(always)]
 fn undamped(time: f64) -> ClosedForm {
     let moving = ClosedForm { kept: 1.0, phi: time, psi: time * (0.5 * time), rest: 0.0 };
@@ -154,17 +154,15 @@ pub(crate) fn decays<R: Real>(level: Level, dampings: &[R], decays: &mut [Decay]
 
 /// E, φ and ψ of each damping over each time up to 2⁴⁰⁰.
 pub(crate) fn closed_forms(level: Level, decays: Among<'_, Decay>, times: &[f64], forms: &mut Vec<ClosedForm>) {
-    forms.clear();
-    forms.reserve_exact(times.len());
     if let Among::Uniform(decay) = decays
         && decay.lambda.hi == 0.0
     {
+        forms.clear();
+        forms.reserve_exact(times.len());
         return forms.extend(times.iter().map(|time| undamped(*time)));
     }
-    dispatch!(level, simd => match decays {
-        Among::Uniform(decay) => each_form(simd, |_| decay, times, forms),
-        Among::Each(decays) => each_form(simd, |i| decays[i], times, forms),
-    });
+    forms.resize(times.len(), ClosedForm::default());
+    dispatch!(level, simd => each_form(simd, decays, times, forms));
 }
 
 #[inline(always)]
@@ -187,28 +185,35 @@ fn each_decay<S: Simd, R: Real>(simd: S, dampings: &[R], decays: &mut [Decay]) {
 }
 
 #[inline(always)]
-fn each_form<S: Simd>(simd: S, decay: impl Fn(usize) -> Decay, times: &[f64], forms: &mut Vec<ClosedForm>) {
+fn each_form<S: Simd>(simd: S, decays: Among<'_, Decay>, times: &[f64], forms: &mut [ClosedForm]) {
     let len = Registers::<S>::LEN;
-    for (chunk, times) in times.chunks(len).enumerate() {
-        let [mut lambda_hi, mut lambda_lo, mut inverse_hi, mut inverse_lo] = [[1.0; LEN_MAX]; 4];
-        let mut time = [1.0; LEN_MAX];
+    let [mut lambda_hi, mut lambda_lo, mut inverse_hi, mut inverse_lo] = [[1.0; LEN_MAX]; 4];
+    let (mut rest, mut time) = ([0.0; LEN_MAX], [1.0; LEN_MAX]);
+    for (chunk, (times, forms)) in times.chunks(len).zip(forms.chunks_mut(len)).enumerate() {
         time[..times.len()].copy_from_slice(times);
-        for lane in 0..times.len() {
-            let decay = decay(chunk * len + lane);
-            (lambda_hi[lane], lambda_lo[lane]) = (decay.lambda.hi, decay.lambda.lo);
-            (inverse_hi[lane], inverse_lo[lane]) = (decay.inverse.hi, decay.inverse.lo);
+        let decay = |lane: usize| match decays {
+            Among::Uniform(decay) => decay,
+            Among::Each(decays) => decays[chunk * len + lane],
+        };
+        if chunk == 0 || matches!(decays, Among::Each(_)) {
+            for lane in 0..times.len() {
+                let decay = decay(lane);
+                (lambda_hi[lane], lambda_lo[lane]) = (decay.lambda.hi, decay.lambda.lo);
+                (inverse_hi[lane], inverse_lo[lane]) = (decay.inverse.hi, decay.inverse.lo);
+                rest[lane] = decay.rest;
+            }
         }
         let load = |hi, lo| DoubleDouble { hi: Registers::load(simd, hi), lo: Registers::load(simd, lo) };
         let [kept, phi, psi] =
             ordinary(load(&lambda_hi, &lambda_lo), load(&inverse_hi, &inverse_lo), Registers::load(simd, &time));
         let (kept, phi, psi) = (kept.store(), phi.store(), psi.store());
-        for (lane, time) in times.iter().enumerate() {
-            let decay = decay(chunk * len + lane);
-            forms.push(if decay.lambda.hi == 0.0 || !decay.is_ordinary(*time) {
-                decay.over(*time)
-            } else {
-                ClosedForm { kept: kept[lane], phi: phi[lane], psi: psi[lane], rest: decay.rest }
-            });
+        for (lane, form) in forms.iter_mut().enumerate() {
+            *form = ClosedForm { kept: kept[lane], phi: phi[lane], psi: psi[lane], rest: rest[lane] };
+        }
+        for (lane, (form, time)) in forms.iter_mut().zip(times).enumerate() {
+            if lambda_hi[lane] == 0.0 || !is_ordinary(lambda_hi[lane], *time) {
+                *form = decay(lane).over(*time);
+            }
         }
     }
 }
@@ -265,14 +270,15 @@ fn parts<L: Lanes>(lambda: DoubleDouble<L>, inverse: DoubleDouble<L>, time: L, m
     let z = (lambda * mantissa).scaled(power);
     let (kept, halvings) = exp_minus(z);
     let is_small = z.hi.is_below(0.25);
-    let (phi, psi) = if L::all(is_small) {
-        small(z, mantissa)
-    } else if !L::any(is_small) {
-        large(kept, halvings, inverse, time)
-    } else {
-        let (small, large) = (small(z, mantissa), large(kept, halvings, inverse, time));
-        (choose(is_small, small.0, large.0), choose(is_small, small.1, large.1))
-    };
+    // Each is compiled once, and computed only where a lane asks for it.
+    let (mut phi, mut psi) = (z, z);
+    if L::any(is_small) {
+        (phi, psi) = small(z, mantissa);
+    }
+    if !L::all(is_small) {
+        let large = large(kept, halvings, inverse, time);
+        (phi, psi) = (choose(is_small, phi, large.0), choose(is_small, psi, large.1));
+    }
     Parts { is_small, kept, halvings, phi, psi }
 }
 

@@ -317,8 +317,8 @@ fn compiled<R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, const 
     dispatch!(level, simd => block::<_, R, K, _, _, _, _>(simd, step, a, d, steps, p, v));
 }
 
-/// Groups of six registers, which hide the latency of the arithmetic; then of three. What is left then is moved in a group
-/// with some of those before it: one number at a time takes as long as a register of them.
+/// Groups of six registers, which hide the latency of the arithmetic; what is left is moved in groups of three, of which the
+/// last has components of those before it as well: one number at a time takes as long as a register of them.
 #[inline(always)]
 fn block<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, const DAMPS: bool>(
     simd: S,
@@ -332,11 +332,17 @@ fn block<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, 
     let lanes = R::Lanes::<S>::LEN;
     let held = (a.hold(simd), d.factor.hold(simd), d.rest.hold(simd));
     let len = p.len();
-    // Moved from where they are before the others of the group are, which end with the same bits both times.
-    let last = (!len.is_multiple_of(3 * lanes))
-        .then(|| group::<S, R, K, _, _, _, _, 3>(simd, step, a, d, &held, steps, len - 3 * lanes, p, v));
+    let sixes = len - len % (6 * lanes);
+    let (begins, left) = ([sixes, len - 3 * lanes], len - sixes);
+    let threes = if left > 3 * lanes { 0..2 } else { 2 - usize::from(left > 0)..2 };
+    // Moved from where they are before any are written: those in two groups end with the same bits both times. A loop, so
+    // that the group is compiled once.
+    let mut ends = [[[R::Lanes::<S>::splat(simd, R::ZERO); 3]; 2]; 2];
+    for k in threes.clone() {
+        ends[k] = group::<S, R, K, _, _, _, _, 3>(simd, step, a, d, &held, steps, begins[k], p, v);
+    }
     let mut at = 0;
-    while at + 6 * lanes <= len {
+    while at < sixes {
         if step.fetches {
             fetch_ahead(&p[at..at + 6 * lanes]);
             fetch_ahead(&v[at..at + 6 * lanes]);
@@ -346,14 +352,9 @@ fn block<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, 
         store(vs, &mut v[at..]);
         at += 6 * lanes;
     }
-    if at + 3 * lanes <= len {
-        let [ps, vs] = group::<S, R, K, _, _, _, _, 3>(simd, step, a, d, &held, steps, at, p, v);
-        store(ps, &mut p[at..]);
-        store(vs, &mut v[at..]);
-    }
-    if let Some([ps, vs]) = last {
-        store(ps, &mut p[len - 3 * lanes..]);
-        store(vs, &mut v[len - 3 * lanes..]);
+    for k in threes {
+        store(ends[k][0], &mut p[begins[k]..]);
+        store(ends[k][1], &mut v[begins[k]..]);
     }
 }
 
