@@ -111,7 +111,7 @@ fn log_to_standard_error(config: &Config) -> Result<Log, String> {
     match config.log_format {
         // Without styles for names and equal signs, which take a third of the time of a line.
         LogFormat::Text => {
-            lines.with_ansi(std::io::stderr().is_terminal()).fmt_fields(fields()).finish().with(filter).init()
+            lines.with_ansi(std::io::stderr().is_terminal()).fmt_fields(fields()).finish().with(filter).init();
         }
         LogFormat::Json => lines.json().finish().with(filter).init(),
     }

@@ -396,8 +396,8 @@ fn group<S: Simd, R: Real, K: Scheme, A: Source<R>, F: Source<R>, T: Source<R>, 
             let rests: [R::Lanes<S>; N] = d.rest.registers(simd, &held.2, at);
             let slow = filled!(k in N => vs[k].abs().simd_lt(rests[k]));
             let mut any = slow[0];
-            for k in 1..N {
-                any = any | slow[k];
+            for slow in &slow[1..] {
+                any = any | *slow;
             }
             if any.any_true() {
                 for k in 0..N {

@@ -267,6 +267,9 @@ impl Drop for CancelOnDrop {
     }
 }
 
+/// What a change does to its world.
+type Apply<R> = dyn FnOnce(&mut World<R>, &AtomicBool) -> Result<Reply, Problem> + Send;
+
 impl<R: WireReal> Slot<R> {
     pub(crate) fn new(name: &str, world: World<R>, shared: &Arc<Shared>) -> Self {
         let description = Mutex::new(Description::new(name, &world));
@@ -360,7 +363,7 @@ impl<R: WireReal> Slot<R> {
         mut turn: Turn<R>,
         claim: Option<Claim>,
         coding: Option<Coding>,
-        apply: Box<dyn FnOnce(&mut World<R>, &AtomicBool) -> Result<Reply, Problem> + Send>,
+        apply: Box<Apply<R>>,
     ) -> Result<Reply, Problem> {
         let slot = Arc::clone(self);
         run(turn.work, move |cancelled| {

@@ -153,7 +153,6 @@ impl<R: Real> World<R> {
         self.limits = limits;
         match kept {
             Kept::Forces(..) if !is_refused => self.history.iter_mut().for_each(|history| history.keep_forces()),
-            Kept::Nothing => {}
             Kept::Forces(force, bounds) => {
                 let len = self.particles.len();
                 self.particles.force.go_back(force);
@@ -161,7 +160,7 @@ impl<R: Real> World<R> {
                 self.history.iter_mut().for_each(|history| history.take_forces_back(len));
             }
             Kept::Everything(before) if is_refused => *self = *before,
-            Kept::Everything(_) => {}
+            Kept::Nothing | Kept::Everything(_) => {}
         }
         if has_changed && !is_refused {
             self.end_change();
