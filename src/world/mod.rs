@@ -39,7 +39,6 @@ use bounds::Bounds;
 use drive::Factors;
 use history::History;
 use motion::{Carrier, Rows, Span};
-use walk::Walk;
 
 pub use advance::StepPlan;
 #[cfg(feature = "server")]
@@ -415,7 +414,7 @@ impl<R: Real> World<R> {
 
     /// The same, from the first id that is at least `first`.
     pub fn particles_from(&self, first: ParticleId) -> impl Iterator<Item = ParticleState<R>> {
-        Walk::from(self, first)
+        R::world_walk(self, first)
     }
 
     /// Writes ids, positions and velocities of up to `limit` particles, in ascending order of id, from the first id that

@@ -24,10 +24,6 @@ pub struct Walk<'a, R: Real> {
 }
 
 impl<'a, R: Real> Walk<'a, R> {
-    pub(super) fn from(world: &'a World<R>, first: ParticleId) -> Self {
-        R::world_walk(world, first)
-    }
-
     pub(super) fn begin(world: &'a World<R>, first: ParticleId) -> Self {
         Self {
             world,
